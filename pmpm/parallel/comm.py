@@ -1,0 +1,174 @@
+"""Verbs of communication; the only file that imports mpi4py.
+
+One process alone (`Alone`) and an MPI communicator (`World`) answer the same verbs, so that nothing above asks which one
+it has. A message is addressed by peer and tag; a message to oneself is legal (a periodic axis on one rank).
+"""
+
+import os
+import sys
+
+import numpy as np
+
+LAUNCHER_SIZE = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "PMIX_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
+LAUNCHER_RANK = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "PMIX_RANK", "MV2_COMM_WORLD_RANK", "SLURM_PROCID")
+
+
+class LaunchError(Exception):
+    """The launcher started a number of processes that MPI does not know of."""
+
+
+class Alone:
+    """One process that is the whole world: every reduction is the identity."""
+
+    rank, size = 0, 1
+
+    def start_exchange(self, sends, receives):
+        """Post messages: `sends` and `receives` are lists of (peer, tag, contiguous array). Finish with `finish`."""
+        waiting = {tag: array for _, tag, array in sends}
+        for _, tag, array in receives:
+            np.copyto(array, waiting.pop(tag))
+
+    def finish(self, handle):
+        """Wait for what `start_exchange` or `start_max` posted."""
+        return handle
+
+    def start_max(self, values):
+        """Begin an elementwise maximum over ranks of a float64 array; `finish` returns it."""
+        return values.copy()
+
+    def max(self, values):
+        """Elementwise maximum over ranks."""
+        return np.array(values)
+
+    def sum(self, values):
+        """Elementwise sum over ranks. Independent of the rank count only for integers or disjoint contributions."""
+        return np.array(values)
+
+    def exchange_pieces(self, pieces):
+        """Give bytes `pieces[r]` to rank r; returns the list of what each rank gave, by rank."""
+        return list(pieces)
+
+    def offsets(self, count):
+        """(where this rank's `count` rows begin in the one global order, how many there are over all ranks)."""
+        return 0, int(count)
+
+    def gather(self, value):
+        """List of every rank's `value` (any picklable object), on every rank."""
+        return [value]
+
+    def broadcast(self, value):
+        """Rank 0's `value` (any picklable object) on every rank."""
+        return value
+
+    def barrier(self):
+        pass
+
+    def abort(self, status):
+        """End every rank at once."""
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+
+
+class World:
+    """The same verbs over an mpi4py communicator."""
+
+    def __init__(self, communicator):
+        from mpi4py import MPI
+
+        self.mpi, self.communicator = MPI, communicator
+        self.rank, self.size = communicator.rank, communicator.size
+
+    def start_exchange(self, sends, receives):
+        requests = [self.communicator.Irecv(array, peer, tag) for peer, tag, array in receives]
+        requests += [self.communicator.Isend(array, peer, tag) for peer, tag, array in sends]
+        return requests, None
+
+    def finish(self, handle):
+        requests, result = handle
+        self.mpi.Request.Waitall(requests)
+        return result
+
+    def start_max(self, values):
+        result = np.empty_like(values)
+        return [self.communicator.Iallreduce(values.copy(), result, self.mpi.MAX)], result
+
+    def max(self, values):
+        return self.allreduce(values, self.mpi.MAX)
+
+    def sum(self, values):
+        return self.allreduce(values, self.mpi.SUM)
+
+    def allreduce(self, values, operation):
+        values = np.ascontiguousarray(values)
+        result = np.empty_like(values)
+        self.communicator.Allreduce(values, result, operation)
+        return result
+
+    def exchange_pieces(self, pieces):
+        counts = np.array([len(piece) for piece in pieces], np.int64)
+        incoming = np.empty_like(counts)
+        self.communicator.Alltoall(counts, incoming)
+        received = [np.empty(count, np.uint8) for count in incoming]
+        received[self.rank] = np.frombuffer(pieces[self.rank], np.uint8)
+        others = [r for r in range(self.size) if r != self.rank]
+        requests = [self.communicator.Irecv(received[r], r) for r in others if incoming[r]]
+        requests += [self.communicator.Isend(np.frombuffer(pieces[r], np.uint8), r) for r in others if counts[r]]
+        self.mpi.Request.Waitall(requests)
+        return received
+
+    def offsets(self, count):
+        counts = self.communicator.allgather(int(count))
+        return sum(counts[: self.rank]), sum(counts)
+
+    def gather(self, value):
+        return self.communicator.allgather(value)
+
+    def broadcast(self, value):
+        return self.communicator.bcast(value)
+
+    def barrier(self):
+        self.communicator.Barrier()
+
+    def abort(self, status):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        self.communicator.Abort(status)
+
+
+def launched(names):
+    """The integer the process launcher left in the environment under one of `names`, or None."""
+    return next((int(os.environ[name]) for name in names if os.environ.get(name, "").isdigit()), None)
+
+
+def from_launcher():
+    """The world this process was launched into: `Alone` without a launcher (mpi4py is not imported), else `World`.
+
+    Raises LaunchError if MPI is missing or reports another number of processes than were launched.
+    """
+    size = launched(LAUNCHER_SIZE)
+    if size is None or size <= 1:
+        return Alone()
+    try:
+        from mpi4py import MPI
+    except ImportError as error:
+        raise LaunchError(
+            f"{size} processes were launched but mpi4py cannot be loaded ({error}). Install it into this environment: "
+            "pip install 'pmpm[mpi]', or on a cluster pip install mpi4py against the MPI there."
+        ) from error
+    if MPI.COMM_WORLD.size != size:
+        raise LaunchError(
+            f"the launcher started {size} processes but MPI reports a world of {MPI.COMM_WORLD.size}: mpirun and mpi4py "
+            "belong to different MPI libraries. Use the mpirun that stands beside this Python "
+            f"({os.path.join(os.path.dirname(sys.executable), 'mpirun')}), or build mpi4py against the launcher's MPI."
+        )
+    return World(MPI.COMM_WORLD)
+
+
+def adopt(communicator):
+    """Verbs for what a user passed as `comm`: None, an mpi4py communicator, or verbs already."""
+    if communicator is None:
+        return Alone()
+    if isinstance(communicator, Alone | World):
+        return communicator
+    return World(communicator)
