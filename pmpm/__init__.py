@@ -1,0 +1,23 @@
+"""pmpm: a distributed Material Point Method solver. The public names are loaded when they are first used."""
+
+from importlib import import_module
+
+__version__ = "0.1.0"
+PUBLIC = {
+    "Scene": "pmpm.scene.schema",
+    "SceneError": "pmpm.scene.errors",
+    "Simulation": "pmpm.simulation",
+    "NumericalFailure": "pmpm.simulation",
+    "load": "pmpm.output.reader",
+}
+__all__ = ["NumericalFailure", "Scene", "SceneError", "Simulation", "load"]
+
+
+def __getattr__(name):
+    if name in PUBLIC:
+        return getattr(import_module(PUBLIC[name]), name)
+    raise AttributeError(f"module 'pmpm' has no attribute {name!r}")
+
+
+def __dir__():
+    return sorted([*globals(), *PUBLIC])

@@ -1,0 +1,87 @@
+"""What a scene asks of the kernels, in plain names and constants; never a scene itself."""
+
+from dataclasses import dataclass
+
+from pmpm.physics import bspline, tensors2, tensors3
+from pmpm.physics.materials import LAWS
+
+PADDING = 1  # cells a particle may drift from the layer it joined at the last regroup
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """Reach of a shape function, in nodes. `low`: nodes below the centre one; `window`: planes a padded layer touches."""
+
+    nodes: int
+    low: int
+    round: float
+    inertia: float
+
+    @property
+    def reach_low(self):
+        return self.low + PADDING
+
+    @property
+    def reach_high(self):
+        return self.nodes - 1 - self.low + PADDING
+
+    @property
+    def window(self):
+        return self.reach_low + self.reach_high + 1
+
+
+QUADRATIC = Stencil(
+    bspline.NODES_QUADRATIC, bspline.LOW_QUADRATIC, bspline.ROUND_QUADRATIC, bspline.INERTIA_QUADRATIC
+)
+STENCILS = {"quadratic": QUADRATIC}
+
+
+@dataclass(frozen=True)
+class LawNeeds:
+    """One constitutive law with its compile-time choices: all materials that share both share kernels and storage."""
+
+    model: str
+    choices: tuple[tuple[str, object], ...]
+    state: tuple[str, ...]  # names of the StateFields a particle carries
+
+    @property
+    def module(self):
+        return LAWS[self.model]
+
+    @property
+    def fields(self):
+        return tuple(field for field in self.module.STATE if field.name in self.state)
+
+
+@dataclass(frozen=True)
+class Needs:
+    """Constants of a scene's kernels: dimension, precision, transfer, and which axis is cut into slabs."""
+
+    dim: int
+    precision: str
+    transfer: str
+    shape_function: str
+    slab_axis: int
+    laws: tuple[LawNeeds, ...]
+    wall_types: tuple[str, ...]
+
+    @property
+    def stencil(self):
+        return STENCILS[self.shape_function]
+
+    @property
+    def tensors(self):
+        return tensors2 if self.dim == 2 else tensors3
+
+    @property
+    def axes(self):
+        """(slab, middle, row): the physical axis of each array axis of the grid; in 2-D there is no middle axis (-1)."""
+        rest = [axis for axis in range(self.dim) if axis != self.slab_axis]
+        return (self.slab_axis, rest[0] if self.dim == 3 else -1, rest[-1])
+
+
+def law_needs(model, keys):
+    """The LawNeeds of a material with these keys."""
+    module = LAWS[model]
+    choices = tuple(sorted(module.choices(keys).items()))
+    return LawNeeds(model, choices, tuple(field.name for field in module.state_fields(keys)))

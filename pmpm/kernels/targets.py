@@ -1,0 +1,139 @@
+"""One plain Python source, several targets: copies of the physics with the target's words, precision and the scene's choices.
+
+`Target.compile(function)` copies a function and, recursively, every plain function it names. Each copy sees
+  - the target's words (`where`, `exp`, ...) and the scene's choices (`la = tensors2`, `MLS = True`) as globals, which numba
+    reads as constants, so that what a scene does not choose is removed before it is typed;
+  - its decimal literals in the scene's precision: `0.5 * x` stays float32.
+`__qualname__` carries the target and a hash over everything the copy reaches. numba's own cache key ignores globals and other
+files; the hash repairs both, so that a second process finds the compiled kernel and an edited law misses.
+This is the one file that leans on numba's internals; pyproject.toml pins numba for it.
+"""
+
+import hashlib
+import math
+import os
+from types import FunctionType, ModuleType
+
+import numpy as np
+
+from pmpm.physics import words
+
+FAST = {"contract", "nsz"}  # never nnan or ninf: guards such as `abs(x) <= limit` must hold for nan
+PRECISION_WORDS = {
+    np.dtype("float32"): {"TINY": 1e-19, "SWEEPS": 5},
+    np.dtype("float64"): {"TINY": 1e-150, "SWEEPS": 6},
+}
+OUTSIDE = ("numba", "numpy", "math", "builtins")  # modules whose functions are taken as they are
+
+
+def in_precision(value, real):
+    """`value` with every float in it, also inside tuples, as a `real`."""
+    if isinstance(value, float):
+        return real(value)
+    if isinstance(value, tuple):
+        return tuple(in_precision(item, real) for item in value)
+    return value
+
+
+def bound_copy(function, mark, real, names):
+    """A copy of `function` with the globals `names` replaced, literals in precision `real`, and `mark` in its name."""
+    if function.__closure__:
+        raise TypeError(f"{function.__name__} must not close over variables: make them arguments or module-level names")
+    code = function.__code__.replace(co_consts=tuple(in_precision(c, real) for c in function.__code__.co_consts))
+    copy = FunctionType(code, function.__globals__ | names, function.__name__, function.__defaults__)
+    copy.__qualname__ = f"{function.__name__}_{mark}"
+    copy.__module__ = function.__module__
+    return copy
+
+
+class Target:
+    """A way to compile: `label` and `real` (a numpy scalar type), `target_words`, `jit(function, is_entry)`, and choices."""
+
+    def __init__(self, label, real, target_words, jit, choices):
+        self.label, self.real, self.jit = f"{label}_{np.dtype(real).name}", real, jit
+        self.words = {
+            name: in_precision(value, real)
+            for name, value in (target_words | PRECISION_WORDS[np.dtype(real)] | choices).items()
+        }
+        self.compiled = {}
+
+    def compile(self, function):
+        """The specialisation of a plain function."""
+        return self.specialise(function, False)[0]
+
+    def entry(self, function):
+        """The specialisation of a function that Python calls; numba's targets keep it in the cache on disk."""
+        return self.specialise(function, True)[0]
+
+    def specialise(self, function, is_entry):
+        """(compiled copy, fingerprint of everything it reaches)."""
+        key = function, is_entry
+        if key not in self.compiled:
+            code = function.__code__
+            names, marks = {}, [self.label, code.co_code.hex(), repr(code.co_consts), repr(function.__defaults__)]
+            for name in sorted(set(code.co_names)):
+                if name in self.words or name in function.__globals__:
+                    names[name], mark = self.replace(name, function.__globals__.get(name), set(code.co_names))
+                    marks.append(f"{name}:{mark}")
+            digest = hashlib.sha256("|".join(marks).encode()).hexdigest()[:12]
+            copy = bound_copy(function, f"{self.label}_{digest}", self.real, names)
+            self.compiled[key] = self.jit(copy, is_entry), digest
+        return self.compiled[key]
+
+    def replace(self, name, value, names):
+        """(replacement, fingerprint) of the global `name` in a function that uses `names`."""
+        value = self.words.get(name, value)
+        if isinstance(value, FunctionType) and value.__module__.split(".")[0] not in OUTSIDE:
+            return self.specialise(value, False)
+        if isinstance(value, float):
+            value = self.real(value)
+        if isinstance(value, ModuleType) and value.__name__.split(".")[0] not in OUTSIDE:
+            space, marks = ModuleType(f"{value.__name__}_{self.label}"), []
+            for attribute in sorted(names & set(vars(value))):
+                inside, mark = self.replace(attribute, getattr(value, attribute), names)
+                setattr(space, attribute, inside)
+                marks.append(f"{attribute}:{mark}")
+            return space, "".join(marks)
+        return in_precision(value, self.real), getattr(value, "__qualname__", None) or repr(value)
+
+
+def scalar(real, **choices):
+    """Scalar numba on the CPU: the readable reference."""
+    import numba
+
+    def jit(function, is_entry):
+        if is_entry:
+            return numba.njit(function, error_model="numpy", fastmath=FAST, cache=True, nogil=True)
+        return numba.njit(function, error_model="numpy", fastmath=FAST, forceinline=True)
+
+    return Target("scalar", real, {"floor": np.floor, "real": real}, jit, choices)
+
+
+def arrays(real, **choices):
+    """Plain numpy over whole arrays, nothing compiled: for output and measurements, off the hot path."""
+    array_words = {name: getattr(np, name) for name in ("where", "floor", "sqrt", "exp", "log", "expm1", "log1p", "abs")}
+    array_words |= {"min": np.minimum, "max": np.maximum, "real": real}
+    return Target("arrays", real, array_words, lambda function, is_entry: function, choices)
+
+
+def plain(**choices):
+    """The source as it is, on Python floats: what tests compare the others with."""
+    return Target("plain", np.float64, {"real": float}, lambda function, is_entry: function, choices)
+
+
+def count_cache(kernels):
+    """(how many signatures of these entry kernels were compiled, how many came from the cache on disk)."""
+    stats = [kernel.stats for kernel in kernels if hasattr(kernel, "stats")]
+    return sum(sum(s.cache_misses.values()) for s in stats), sum(sum(s.cache_hits.values()) for s in stats)
+
+
+def use_cache_folder():
+    """Let PMPM_CACHE_DIR say where compiled kernels are kept; call it before the first kernel is made."""
+    folder = os.environ.get("PMPM_CACHE_DIR")
+    if folder:
+        import numba
+
+        numba.config.CACHE_DIR = folder
+
+
+assert words.TINY == PRECISION_WORDS[np.dtype("float64")]["TINY"] and math.isnan(words.NAN)

@@ -1,0 +1,20 @@
+"""B-spline shape functions on the grid: how far a particle reaches, and with what weight.
+
+`g` is the distance, in cells, of the particle from the centre node of its stencil (the nearest node for quadratic); node n
+of the stencil lies at n - LOW_QUADRATIC from the centre.
+Source: Steffen, Kirby, Berzins, Int. J. Numer. Meth. Eng. 76 (2008) 922.
+"""
+
+NODES_QUADRATIC = 3  # nodes of the stencil per axis
+LOW_QUADRATIC = 1  # of them, below the centre node
+ROUND_QUADRATIC = 0.5  # centre = floor(x / dx + ROUND)
+INERTIA_QUADRATIC = 4.0  # 1 / sum of w d d over the stencil, in 1 / cells^2 (APIC's D^-1 dx^2)
+
+
+def weights_quadratic(g):
+    return (0.5 * (0.5 - g) * (0.5 - g), 0.75 - g * g, 0.5 * (0.5 + g) * (0.5 + g))
+
+
+def slopes_quadratic(g):
+    """dN/dx of the nodes' shape functions at the particle, in 1 / cells."""
+    return (g - 0.5, -2.0 * g, g + 0.5)

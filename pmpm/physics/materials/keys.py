@@ -1,0 +1,48 @@
+"""What a law tells the outside world about itself: the keys a scene sets and the state a particle carries."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of a material in a scene file. `default` None: the key must be given, or see `optional`.
+
+    Bounds are exclusive (`above`, `below`) or inclusive (`at_least`, `at_most`). `only` names the one value that is built
+    so far; the others are a clear error and come later.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    default: object = None
+    optional: bool = False
+    above: float | None = None
+    at_least: float | None = None
+    below: float | None = None
+    at_most: float | None = None
+    choices: tuple = ()
+    only: object = None
+
+
+@dataclass(frozen=True)
+class StateField:
+    """One quantity a law keeps on its particles. `kind`: scalar, tensor (dim x dim) or symmetric; `rest`: its undeformed
+    value, per diagonal entry for tensors (off-diagonal entries rest at zero)."""
+
+    name: str
+    kind: str
+    unit: str
+    meaning: str
+    rest: float = 0.0
+
+
+DENSITY = Key("density", "kg/m3", "mass per volume of the undeformed material", above=0.0)
+YOUNGS_MODULUS = Key("youngs_modulus", "Pa", "stiffness in uniaxial stress", above=0.0)
+POISSON_RATIO = Key("poisson_ratio", "-", "lateral contraction per axial extension", above=-1.0, below=0.5)
+
+
+def lame(youngs_modulus, poisson_ratio):
+    """(mu, lam) in Pa: the Lame parameters of an isotropic solid."""
+    mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
+    lam = youngs_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
+    return mu, lam

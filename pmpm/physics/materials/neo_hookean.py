@@ -1,0 +1,67 @@
+"""Compressible neo-Hookean solid.
+
+Energy per reference volume: psi = mu/2 (tr b - 3) - mu ln J + lam/2 (ln J)^2 with b = F F^T; tau = mu (b - I) + lam ln J I.
+In plane strain the out-of-plane stretch is 1. Source: Bonet, Wood, Nonlinear Continuum Mechanics for Finite Element
+Analysis, 2nd ed. (2008), section 6.4.3.
+"""
+
+from pmpm.physics import tensors2 as la
+from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, StateField, lame
+from pmpm.physics.words import log
+
+SOURCE = "Bonet and Wood (2008), section 6.4.3"
+KEYS = (DENSITY, YOUNGS_MODULUS, POISSON_RATIO)
+STATE = (StateField("F", "tensor", "-", "deformation gradient", 1.0),)
+SMALLEST = 1e-10  # volume ratios below it only keep the logarithm finite until `valid` stops the run
+
+
+def conflicts(keys):
+    return None
+
+
+def choices(keys):
+    return {}
+
+
+def state_fields(keys):
+    return STATE
+
+
+def parameters(keys, dim):
+    """(mu, lam) in Pa."""
+    return lame(keys["youngs_modulus"], keys["poisson_ratio"])
+
+
+def kirchhoff_stress(F, params):
+    mu, lam = params
+    return la.scale_plus_diagonal(mu, la.left_cauchy_green(F), lam * log(max(la.det(F), SMALLEST)) - mu)
+
+
+def out_of_plane_stress(F, params):
+    mu, lam = params
+    return lam * log(max(la.det(F), SMALLEST))
+
+
+def advance(F, G, params):
+    return la.add(F, la.matmul(G, F))
+
+
+def valid(F):
+    return la.det(F) > 0.0
+
+
+def volume_ratio(F):
+    return la.det(F)
+
+
+def wave_speed_squared(F, params, density):
+    """Upper bound over directions n of (mu n.b n + mu + lam (1 - ln J)) / rho0, the spatial P-wave speed squared."""
+    mu, lam = params
+    b = la.row_sum_bound(la.left_cauchy_green(F))
+    return (mu * b + max(mu + lam * (1.0 - log(max(la.det(F), SMALLEST))), 0.0)) / density
+
+
+def energy(F, params):
+    mu, lam = params
+    log_J = log(max(la.det(F), SMALLEST))
+    return 0.5 * mu * (la.trace_symmetric(la.left_cauchy_green(F)) - la.DIM) + (0.5 * lam * log_J - mu) * log_J

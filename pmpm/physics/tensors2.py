@@ -1,0 +1,147 @@
+"""2 x 2 tensors (plane strain) as flat tuples, row by row; symmetric ones as (xx, xy, yy). Same words as tensors3."""
+
+from pmpm.physics.words import TINY, sqrt, where
+
+DIM = 2.0
+
+
+
+def det(A):
+    return A[0] * A[3] - A[1] * A[2]
+
+
+def trace(A):
+    return A[0] + A[3]
+
+
+def scale(a, A):
+    return (a * A[0], a * A[1], a * A[2], a * A[3])
+
+
+def scale_vector(a, u):
+    return (a * u[0], a * u[1])
+
+
+def add_scaled_vector(u, a, v):
+    """u + a v."""
+    return (u[0] + a * v[0], u[1] + a * v[1])
+
+
+def add_outer(A, u, v):
+    """A + u v^T."""
+    return (A[0] + u[0] * v[0], A[1] + u[0] * v[1], A[2] + u[1] * v[0], A[3] + u[1] * v[1])
+
+
+def apply(A, u):
+    """A u."""
+    return (A[0] * u[0] + A[1] * u[1], A[2] * u[0] + A[3] * u[1])
+
+
+def apply_symmetric(S, u):
+    """S u for a symmetric S."""
+    return (S[0] * u[0] + S[1] * u[1], S[1] * u[0] + S[2] * u[1])
+
+
+def dot(u, v):
+    return u[0] * v[0] + u[1] * v[1]
+
+
+def largest_entry(u):
+    """max |u_i| of a vector."""
+    return max(abs(u[0]), abs(u[1]))
+
+
+def within(u, limit):
+    """Whether every |u_i| is at most `limit`; false for nan, which `largest_entry` may hide."""
+    return (abs(u[0]) <= limit) & (abs(u[1]) <= limit)
+
+
+def identity_plus(G):
+    return (1.0 + G[0], G[1], G[2], 1.0 + G[3])
+
+
+def matmul(A, B):
+    return (
+        A[0] * B[0] + A[1] * B[2],
+        A[0] * B[1] + A[1] * B[3],
+        A[2] * B[0] + A[3] * B[2],
+        A[2] * B[1] + A[3] * B[3],
+    )
+
+
+def add(A, B):
+    return (A[0] + B[0], A[1] + B[1], A[2] + B[2], A[3] + B[3])
+
+
+def left_cauchy_green(F):
+    """b = F F^T, symmetric."""
+    return (F[0] * F[0] + F[1] * F[1], F[0] * F[2] + F[1] * F[3], F[2] * F[2] + F[3] * F[3])
+
+
+def isotropic(d):
+    """d I, symmetric."""
+    zero = d - d
+    return (d, zero, d)
+
+
+def scale_plus_diagonal(a, S, d):
+    """a S + d I for a symmetric S."""
+    return (a * S[0] + d, a * S[1], a * S[2] + d)
+
+
+def trace_symmetric(S):
+    return S[0] + S[2]
+
+
+def norm_symmetric(S):
+    """Frobenius norm of a symmetric S."""
+    return sqrt(S[0] * S[0] + 2.0 * (S[1] * S[1]) + S[2] * S[2])
+
+
+def row_sum_bound(S):
+    """Largest row sum of |S|: an upper bound of its largest eigenvalue (Gershgorin), exact where S is diagonal."""
+    return max(abs(S[0]) + abs(S[1]), abs(S[1]) + abs(S[2]))
+
+
+def congruence(G, H):
+    """(I + G)(I + H)(I + G)^T - I for a symmetric H, without cancellation for small G and H.
+
+    With K = G + G H it is H + K + K^T + K G^T.
+    """
+    K = add(G, matmul(G, (H[0], H[1], H[1], H[2])))
+    return (
+        H[0] + (K[0] + K[0]) + (K[0] * G[0] + K[1] * G[1]),
+        H[1] + (K[1] + K[2]) + (K[0] * G[2] + K[1] * G[3]),
+        H[2] + (K[3] + K[3]) + (K[2] * G[2] + K[3] * G[3]),
+    )
+
+
+def eigen_symmetric(S):
+    """(Q, s) with S = Q diag(s) Q^T, Q a rotation. One Jacobi rotation is exact in two dimensions."""
+    difference, twice = S[2] - S[0], 2.0 * S[1]
+    root = sqrt(difference * difference + twice * twice) + TINY
+    t = twice / (difference + where(difference < 0.0, -root, root))
+    cosine = 1.0 / sqrt(1.0 + t * t)
+    sine = t * cosine
+    return (cosine, sine, -sine, cosine), (S[0] - t * S[1], S[2] + t * S[1])
+
+
+def spectral(Q, t):
+    """Q diag(t) Q^T, symmetric."""
+    a, b = Q[0] * t[0], Q[1] * t[1]
+    return (a * Q[0] + b * Q[1], a * Q[2] + b * Q[3], Q[2] * t[0] * Q[2] + Q[3] * t[1] * Q[3])
+
+
+def each(function, t):
+    """`function` of each principal value."""
+    return (function(t[0]), function(t[1]))
+
+
+def symmetric_part(state):
+    """The symmetric tensor that a particle's state begins with."""
+    return (state[0], state[1], state[2])
+
+
+def after_symmetric(state):
+    """The scalar that follows a symmetric tensor in a particle's state."""
+    return state[3]

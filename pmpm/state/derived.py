@@ -1,0 +1,103 @@
+"""Quantities that follow from what a particle carries: fields for files and users, contributions to the totals.
+
+Computed by numpy from the same physics source as the kernels (targets.arrays): nothing is compiled for it.
+"""
+
+import numpy as np
+
+from pmpm.kernels import targets
+
+MASS, VOLUME0, DENSITY, PARAMETERS = 0, 1, 2, 3  # columns of a law's table, one row per body
+
+
+class DerivedFields:
+    """Fields of one law's particles, each (n, ...) in the order of the population, computed when asked for."""
+
+    def __init__(self, population, law, layout, tensors, geometry, table, real):
+        self.population, self.law, self.layout, self.la = population, law, layout, tensors
+        self.geometry, self.real = geometry, real
+        self.target = targets.arrays(real, la=tensors, **dict(law.choices))
+        self.row_values = table.astype(real)[population.per_particle(population.block_row)]
+        state = population.rows(slice(layout.state_first, layout.size)).astype(real)
+        self.state = tuple(np.ascontiguousarray(column) for column in state.T)
+        self.params = tuple(np.ascontiguousarray(column) for column in self.row_values.T[PARAMETERS:])
+
+    def evaluate(self, name, *arguments):
+        """A function of the law over all particles."""
+        with np.errstate(all="ignore"):
+            return self.target.compile(getattr(self.law.module, name))(self.state, *arguments)
+
+    def field(self, name):
+        """Rows of a common field or state variable as stored; None if the law keeps no such field."""
+        where = self.layout.where(name)
+        return None if where is None else self.population.rows(where)
+
+    def x(self):
+        """(n, dim) float64 positions in m."""
+        cloud = self.population.unpack(self.geometry.axes)
+        offset = cloud.reals[:, : self.geometry.dim].astype(np.float64)
+        return (cloud.node + offset) * self.geometry.cell_size
+
+    def velocity(self):
+        return self.field("v")
+
+    def speed(self):
+        v = self.field("v")
+        return np.sqrt((v * v).sum(axis=1))
+
+    def mass(self):
+        return self.row_values[:, MASS]
+
+    def volume0(self):
+        return self.row_values[:, VOLUME0]
+
+    def J(self):
+        return self.evaluate("volume_ratio")
+
+    def density(self):
+        return self.row_values[:, DENSITY] / self.J()
+
+    def stress(self):
+        """(n, 6) Cauchy stress xx yy zz xy yz xz in Pa."""
+        tau = self.evaluate("kirchhoff_stress", self.params)
+        zero = np.zeros_like(tau[0])
+        if self.geometry.dim == 2:
+            entries = (tau[0], tau[2], self.evaluate("out_of_plane_stress", self.params), tau[1], zero, zero)
+        else:
+            entries = (tau[0], tau[3], tau[5], tau[1], tau[4], tau[2])
+        return np.stack(entries, axis=-1) / self.J()[:, None]
+
+    def pressure(self):
+        sigma = self.stress()
+        return -(sigma[:, 0] + sigma[:, 1] + sigma[:, 2]) / self.real(3.0)
+
+    def deformation_gradient(self):
+        """(n, 9) F row by row, plane strain completed by F_zz = 1; nan where the law keeps none."""
+        F = self.field("F")
+        full = np.full((len(self.population), 9), np.nan, self.real)
+        if F is not None and self.geometry.dim == 3:
+            full[:] = F
+        elif F is not None:
+            full[:] = (0, 0, 0, 0, 0, 0, 0, 0, 1)
+            full[:, [0, 1, 3, 4]] = F
+        return full
+
+    def wave_speed_squared(self):
+        return self.evaluate("wave_speed_squared", self.params, self.row_values[:, DENSITY])
+
+    def totals(self, gravity):
+        """dict of (n,) contributions to the totals of `Simulation.measure`, float64."""
+        dim, m, x, v = self.geometry.dim, self.mass(), self.x(), self.velocity().astype(np.float64)
+        C = self.field("C").astype(np.float64).reshape(-1, dim, dim)
+        inertia = self.geometry.cell_size**2 / self.geometry.stencil.inertia
+        found = {"mass": m}
+        for axis in range(dim):
+            found[f"momentum_{'xyz'[axis]}"] = m * v[:, axis]
+        for axis in (2,) if dim == 2 else (0, 1, 2):
+            p, q = (axis + 1) % 3, (axis + 2) % 3
+            spin = inertia * (C[:, q, p] - C[:, p, q])  # of the affine field (Jiang et al. 2015, section 5.3)
+            found[f"angular_momentum_{'xyz'[axis]}"] = m * (x[:, p] * v[:, q] - x[:, q] * v[:, p] + spin)
+        found["kinetic"] = 0.5 * m * (v * v).sum(axis=1)
+        found["strain"] = self.volume0() * self.evaluate("energy", self.params)
+        found["potential"] = -m * (x @ np.asarray(gravity))
+        return found

@@ -1,0 +1,97 @@
+"""THE particle field table: what a particle carries, where it lies in its block, and what may be written to files.
+
+Storage, migration, output and documentation read it; a law adds its own state in its file in physics/materials.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+KIND_SIZE = {
+    "scalar": lambda dim: 1,
+    "vector": lambda dim: dim,
+    "tensor": lambda dim: dim * dim,
+    "symmetric": lambda dim: dim * (dim + 1) // 2,
+}
+
+
+@dataclass(frozen=True)
+class Field:
+    """One quantity of a particle: `kind` scalar, vector, tensor or symmetric; `rest` as in StateField."""
+
+    name: str
+    kind: str
+    unit: str
+    meaning: str
+    rest: float = 0.0
+
+    def size(self, dim):
+        return KIND_SIZE[self.kind](dim)
+
+    def rest_values(self, dim):
+        """The undeformed value, flat."""
+        values = np.zeros(self.size(dim))
+        if self.kind == "tensor":
+            values[:: dim + 1] = self.rest
+        elif self.kind == "symmetric":
+            values[list(diagonal(dim))] = self.rest
+        else:
+            values[:] = self.rest
+        return values
+
+
+COMMON = (
+    Field("x", "vector", "cells", "position, as an offset from the home node; files and users see metres"),
+    Field("v", "vector", "m/s", "velocity"),
+    Field("C", "tensor", "1/s", "affine velocity field of APIC"),
+)
+
+OUTPUT = (
+    Field("velocity", "vector", "m/s", "velocity"),
+    Field("speed", "scalar", "m/s", "magnitude of the velocity"),
+    Field("pressure", "scalar", "Pa", "minus the mean Cauchy stress: positive in compression"),
+    Field("stress", "symmetric", "Pa", "Cauchy stress"),
+    Field("deformation_gradient", "tensor", "-", "F, where the law keeps one"),
+    Field("J", "scalar", "-", "volume ratio"),
+    Field("density", "scalar", "kg/m3", "current density"),
+    Field("material", "scalar", "-", "number of the material in the scene"),
+)
+
+
+def diagonal(dim):
+    """Positions of the diagonal in a flat symmetric tensor."""
+    return (0, 2) if dim == 2 else (0, 3, 5)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each field of one law's particles begins in a block, and how many reals a particle holds."""
+
+    fields: tuple[Field, ...]
+    dim: int
+
+    @classmethod
+    def of(cls, law, dim):
+        own = tuple(Field(f.name, f.kind, f.unit, f.meaning, f.rest) for f in law.fields)
+        return cls(COMMON + own, dim)
+
+    @property
+    def size(self):
+        return sum(field.size(self.dim) for field in self.fields)
+
+    @property
+    def state_first(self):
+        return sum(field.size(self.dim) for field in COMMON)
+
+    def where(self, name):
+        """slice of the reals that hold field `name`, or None if the law keeps no such field."""
+        first = 0
+        for field in self.fields:
+            if field.name == name:
+                return slice(first, first + field.size(self.dim))
+            first += field.size(self.dim)
+        return None
+
+    def rest_state(self):
+        """Flat undeformed state of the law."""
+        return np.concatenate([field.rest_values(self.dim) for field in self.fields[len(COMMON) :]])

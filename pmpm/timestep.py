@@ -1,0 +1,110 @@
+"""How long the next step may be, and whether particles may have used up the padding of their layers.
+
+The bound (Sun, Shinar, Schroeder 2020; quadratic splines): dt = cfl min(dx / (c sqrt(d))), with the largest current wave
+speed c, and dt <= MOVE dx / max|v|. Maxima over all ranks come from a reduction that was started LAG steps ago, so that no
+step waits for it; what a particle may move meanwhile is covered by the padding.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+LAG = 2  # steps between the start of a reduction and its use
+MOVE = 0.2  # cells a particle may move in a step: LAG + 1 such steps and a margin fit into one cell of padding
+MARGIN = 1.5  # growth of the largest speed that is allowed for between two reductions
+SPEED, WAVE, DRIFT, FAILED = range(4)  # what is reduced: max |v|^2, max c^2, max drift in cells, minus the failed step
+
+
+@dataclass
+class Pending:
+    """A reduction on its way: the step that started it, and the travel bound (cells) accumulated until then."""
+
+    step: int
+    travel: float
+    handle: object = None
+    values: object = None
+
+
+class StepControl:
+    """Chooses dt and says when a regroup is due; the same decisions on every rank."""
+
+    def __init__(self, comm, time, cell_size, dim, farthest, settled_drift):
+        self.comm, self.cell_size, self.dim = comm, cell_size, dim
+        self.cfl, self.fixed_step, self.end = time.cfl, time.step, time.end
+        self.farthest, self.settled_drift = farthest, settled_drift
+        self.pending: deque[Pending] = deque()
+        self.travel = 0.0
+        self.regrouped(0)
+        self.speed = self.wave = 0.0
+
+    def begin(self, speed_squared, wave_squared):
+        """Take the maxima of the initial state over all ranks."""
+        self.learn(self.comm.max(np.array([speed_squared, wave_squared], np.float64)))
+
+    def learn(self, values):
+        self.speed, self.wave = math.sqrt(values[SPEED]), math.sqrt(values[WAVE])
+
+    def stable_step(self):
+        """The largest allowed step in s for cfl = 1 in the waves and MOVE in the speed."""
+        by_waves = self.cell_size / (self.wave * math.sqrt(self.dim)) if self.wave > 0 else math.inf
+        by_speed = MOVE * self.cell_size / self.speed if self.speed > 0 else math.inf
+        return by_waves, by_speed
+
+    def choose(self, time):
+        """dt of the next step in s."""
+        by_waves, by_speed = self.stable_step()
+        dt = self.fixed_step if self.fixed_step is not None else min(self.cfl * by_waves, by_speed)
+        return min(dt, self.end - time) if self.end - time > 0 else dt
+
+    def exceeds(self):
+        """The stable step in s if the user's fixed step is longer than it, else None."""
+        bound = min(self.stable_step())
+        return bound if self.fixed_step is not None and self.fixed_step > bound else None
+
+    def move_bound(self, dt):
+        """Cells a particle may move in a step of dt."""
+        return MARGIN * self.speed * dt / self.cell_size
+
+    def regroup_due(self, dt):
+        """Whether a particle might leave its layer's padded planes in the next step."""
+        return self.drift + (self.travel - self.drift_travel) + self.move_bound(dt) > self.farthest
+
+    def regrouped(self, step):
+        """Every particle is at most half a cell from its home again."""
+        self.regroup_step, self.drift, self.drift_travel = step, self.settled_drift, self.travel
+
+    def start(self, step, dt, values):
+        """Begin the reduction of what step number `step` found."""
+        self.travel += self.move_bound(dt)
+        self.pending.append(Pending(step, self.travel, self.comm.start_max(values)))
+
+    def collect(self):
+        """Use the reduction started LAG steps ago. Returns the earliest failed step it knows of, or None."""
+        if len(self.pending) < LAG:
+            return None
+        arrived = self.pending.popleft()
+        self.finish(arrived)
+        if np.isfinite(arrived.values[:DRIFT]).all():
+            self.learn(arrived.values)
+        if arrived.step > self.regroup_step:
+            self.drift, self.drift_travel = arrived.values[DRIFT], arrived.travel
+        return failed_step(arrived)
+
+    def known_failure(self):
+        """The earliest failed step in anything on its way, or None; waits for it but changes no later decision."""
+        for reduction in self.pending:
+            self.finish(reduction)
+        found = [step for step in map(failed_step, self.pending) if step is not None]
+        return min(found, default=None)
+
+    def finish(self, reduction):
+        if reduction.values is None:
+            reduction.values = self.comm.finish(reduction.handle)
+
+
+def failed_step(reduction):
+    """The step number a reduction reports as failed, or None."""
+    value = reduction.values[FAILED]
+    return None if value == -math.inf else int(-value)
