@@ -1,13 +1,13 @@
 """Simulation: the one place where the order of a time step is written.
 
-    dt         from a reduction started some steps ago           timestep
-    regroup    when due: migration and sorting are one event     parallel.regroup
-    P2G        layer by layer, particles to nodes                kernels
-    halo       shared planes on their way                        parallel.halo
-    G2P        interior layers, meanwhile                        kernels
-    halo       sums completed, the same way on both sides
-    G2P        edge layers
-    observers  whoever watches
+dt         from a reduction started some steps ago           timestep
+regroup    when due: migration and sorting are one event     parallel.regroup
+P2G        layer by layer, particles to nodes                kernels
+halo       shared planes on their way                        parallel.halo
+G2P        interior layers, meanwhile                        kernels
+halo       sums completed, the same way on both sides
+G2P        edge layers
+observers  whoever watches
 """
 
 import math
@@ -18,20 +18,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pmpm.kernels import build, cpu, targets
-from pmpm.kernels.needs import PADDING, Needs, law_needs
+from pmpm.kernels.needs import law_needs
 from pmpm.parallel import comm as communication
 from pmpm.parallel.halo import Halo
 from pmpm.parallel.regroup import migrate, settle
 from pmpm.parallel.slabs import Slabs, cut_evenly, room
 from pmpm.scene import seeding
 from pmpm.scene.errors import SceneError
-from pmpm.state.derived import DENSITY, MASS, PARAMETERS, VOLUME0, DerivedFields
+from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
+from pmpm.state.derived import DENSITY, PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
-from pmpm.state.grid import Geometry, Patch
+from pmpm.state.grid import Patch
 from pmpm.state.particles import Cloud, Population
 from pmpm.timestep import StepControl
-
-FACES = ("min", "max")
 
 
 class NumericalFailure(Exception):
@@ -79,17 +78,11 @@ class Simulation:
         self.scene, self.tell = scene, tell or (lambda message: None)
         self.dim, self.real = scene.dim, np.dtype(scene.method.precision).type
         self.needs = scene_needs(scene)
-        self.geometry = Geometry(
-            scene.cells,
-            tuple("xyz"[a] in scene.domain.periodic for a in range(scene.dim)),
-            scene.domain.cell_size,
-            self.needs.axes,
-            self.needs.stencil,
-        )
-        check_axes(self.geometry)
+        self.geometry = grid_geometry(scene, self.needs)
         self.material_names = list(scene.materials)
         self.layouts = [Layout.of(law, self.dim) for law in self.needs.laws]
         self.tables = [law_table(scene, law) for law in self.needs.laws]
+        self.kernel_tables = [table.astype(self.real) for table in self.tables]
         self.gravity = np.array(scene.domain.gravity)
         self.limits, self.edges = domain_limits(scene, self.geometry, self.real)
         self.time, self.step_count, self.dt = 0.0, 0, 0.0
@@ -104,9 +97,7 @@ class Simulation:
         self.settle_in([self.cloud(law, seeds) for law in range(len(self.needs.laws))])
         self.warm_up()
         settled_drift = max(self.needs.stencil.round, 1.0 - self.needs.stencil.round)
-        self.control = StepControl(
-            self.comm, scene.time, scene.domain.cell_size, self.dim, cpu.FARTHEST, settled_drift
-        )
+        self.control = StepControl(self.comm, scene.time, scene.domain.cell_size, self.dim, cpu.FARTHEST, settled_drift)
         self.control.begin(*self.fastest())
         self.check_fixed_step(SceneError)
         self.first_energy = None
@@ -309,13 +300,6 @@ class Simulation:
             if failure[0] and self.failure is None:
                 self.failure = self.describe_failure(number, *failure)
 
-    @property
-    def kernel_tables(self):
-        """Tables of the laws in the run's precision."""
-        if not hasattr(self, "tables_in_precision"):
-            self.tables_in_precision = [table.astype(self.real) for table in self.tables]
-        return self.tables_in_precision
-
     def regroup(self, edges=None):
         """Migration, sorting and new cuts (if `edges` are given) in one event: every particle joins the layer it lies in.
 
@@ -482,9 +466,16 @@ class Simulation:
         return measured["kinetic"] + measured["strain"] + measured["potential"]
 
     @property
-    def idle_ranks(self):
-        """How many ranks own no layers because the domain has no room for them."""
-        return max(0, self.comm.size - room(self.geometry.layers, self.needs.stencil.window))
+    def notes(self):
+        """What a user should know about this run before it begins, one line each."""
+        space = room(self.geometry.layers, self.needs.stencil.window)
+        idle = self.comm.size - space
+        if idle <= 0:
+            return []
+        return [
+            f"warning: {idle} of {self.comm.size} ranks stay idle: {self.geometry.layers} layers along "
+            f"{'xyz'[self.geometry.axes[0]]} have room for {space} ranks of at least {self.needs.stencil.window} layers"
+        ]
 
     def report(self):
         """What run.json says about the run; collective."""
@@ -552,97 +543,6 @@ def simulation_fields(simulation):
     """Names that `particles` answers to."""
     stored = [f.name for layout in simulation.layouts for f in layout.fields]
     return list(dict.fromkeys(["x", "v", "C", *stored, "J", "mass", "volume0", "material", "id", "density", "stress"]))
-
-
-# ---- from scene to constants -------------------------------------------------------------------------------------------
-
-
-def scene_needs(scene):
-    """What a scene asks of the kernels. Slabs are cut across the axis with the most cells."""
-    used = [scene.materials[body.material] for body in scene.bodies]
-    laws = tuple(dict.fromkeys(law_needs(m.model, m.parameters) for m in used))
-    walls = tuple(sorted({wall.type for wall in scene.domain.walls.values()} - {"free"}))
-    method = scene.method
-    slab_axis = int(np.argmax(scene.cells))
-    return Needs(scene.dim, method.precision, method.transfer, method.shape_function, slab_axis, laws, walls)
-
-
-def check_axes(geometry):
-    """Raise SceneError where the grid cannot hold the scene: too few cells on a periodic axis, too many across slabs."""
-    for axis in range(geometry.dim):
-        name, cells, window = "xyz"[axis], geometry.cells[axis], geometry.stencil.window
-        if geometry.periodic[axis] and cells < window:
-            raise SceneError(f"scene: domain.periodic: axis {name} has {cells} cells, a periodic axis needs {window}")
-        if geometry.dim == 3 and axis != geometry.axes[0] and cells > 65_000:
-            raise SceneError(f"scene: domain.cell_size: {cells} cells along {name}; at most 65000 in 3-D")
-
-
-def law_table(scene, law):
-    """(bodies, 3 + parameters) float64: mass, volume0, density and the law's parameters of each body of this law."""
-    dim, rows = scene.dim, []
-    volume = scene.domain.cell_size**dim
-    for body in scene.bodies:
-        material = scene.materials[body.material]
-        if law_needs(material.model, material.parameters) == law:
-            keys = material.parameters
-            volume0 = volume / body.particles_per_cell
-            rows.append([keys["density"] * volume0, volume0, keys["density"], *law.module.parameters(keys, dim)])
-        else:
-            rows.append(None)
-    width = max(len(row) for row in rows if row is not None)
-    return np.array([row if row is not None else [0.0] * width for row in rows])
-
-
-def domain_limits(scene, geometry, real):
-    """(limits, edges): first and last centre node a particle may have along each axis, and how far beyond them in cells.
-
-    Rules of a wall act on the nodes at and beyond it; a quadratic stencil then keeps every particle within half a cell of
-    the wall. Through a free face nothing holds it: it may not pass at all. Periodic axes allow the padding.
-    """
-    limits = np.zeros((geometry.dim, 2), np.int64)
-    edges = np.zeros((geometry.dim, 2), real)
-    for axis in range(geometry.dim):
-        last = geometry.cells[axis]
-        if geometry.periodic[axis]:
-            limits[axis] = -PADDING, last - 1 + PADDING
-            edges[axis] = -1.0, 1.0
-            continue
-        limits[axis] = 0, last
-        for side, sign in enumerate((-1.0, 1.0)):
-            wall = scene.domain.wall(f"{'xyz'[axis]}_{FACES[side]}")
-            edges[axis, side] = 0.0 if wall.type == "free" else sign
-    return limits, edges
-
-
-@dataclass(frozen=True)
-class PatchWall:
-    """The nodes of a rank's patch at and beyond one face: box (i0, i1, j0, j1, k0, k1), normal into the material."""
-
-    type: str
-    box: tuple[int, ...]
-    normal: np.ndarray
-    coefficient: float
-
-
-def patch_walls(scene, geometry, patch, real):
-    """The walls of the domain, in this patch's counting."""
-    walls, stencil = [], geometry.stencil
-    array_axis = {axis: number for number, axis in enumerate(geometry.axes) if axis >= 0}
-    for face, wall in scene.domain.walls.items():
-        if wall.type == "free":
-            continue
-        axis, at_max = "xyz".index(face[0]), face.endswith("max")
-        box = [0, patch.planes, 0, patch.nodes.shape[1], 0, patch.nodes.shape[2]]
-        origin = patch.first_plane if axis == geometry.axes[0] else -stencil.reach_low
-        place = 2 * array_axis[axis]
-        if at_max:
-            box[place] = max(box[place], geometry.cells[axis] - origin)
-        else:
-            box[place + 1] = min(box[place + 1], 1 - origin)
-        normal = np.zeros(geometry.dim, real)
-        normal[axis] = -1.0 if at_max else 1.0
-        walls.append(PatchWall(wall.type, tuple(box), normal, real(wall.coefficient)))
-    return walls
 
 
 def layout_own(layout):

@@ -241,9 +241,7 @@ load_normal = normal_2
 
 def leaves(centre, g, low, high, low_edge, high_edge):
     """Whether a particle at `g` from node `centre` of an axis is beyond its first or last node by more than the edges."""
-    return (
-        (centre < low) | (centre > high) | ((centre == low) & (g < low_edge)) | ((centre == high) & (g > high_edge))
-    )
+    return (centre < low) | (centre > high) | ((centre == low) & (g < low_edge)) | ((centre == high) & (g > high_edge))
 
 
 def g2p(

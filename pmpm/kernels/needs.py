@@ -30,9 +30,7 @@ class Stencil:
         return self.reach_low + self.reach_high + 1
 
 
-QUADRATIC = Stencil(
-    bspline.NODES_QUADRATIC, bspline.LOW_QUADRATIC, bspline.ROUND_QUADRATIC, bspline.INERTIA_QUADRATIC
-)
+QUADRATIC = Stencil(bspline.NODES_QUADRATIC, bspline.LOW_QUADRATIC, bspline.ROUND_QUADRATIC, bspline.INERTIA_QUADRATIC)
 STENCILS = {"quadratic": QUADRATIC}
 
 

@@ -111,7 +111,9 @@ def scalar(real, **choices):
 
 def arrays(real, **choices):
     """Plain numpy over whole arrays, nothing compiled: for output and measurements, off the hot path."""
-    array_words = {name: getattr(np, name) for name in ("where", "floor", "sqrt", "exp", "log", "expm1", "log1p", "abs")}
+    array_words = {
+        name: getattr(np, name) for name in ("where", "floor", "sqrt", "exp", "log", "expm1", "log1p", "abs")
+    }
     array_words |= {"min": np.minimum, "max": np.maximum, "real": real}
     return Target("arrays", real, array_words, lambda function, is_entry: function, choices)
 
@@ -136,4 +138,4 @@ def use_cache_folder():
         numba.config.CACHE_DIR = folder
 
 
-assert words.TINY == PRECISION_WORDS[np.dtype("float64")]["TINY"] and math.isnan(words.NAN)
+assert PRECISION_WORDS[np.dtype("float64")]["TINY"] == words.TINY and math.isnan(words.NAN)

@@ -22,7 +22,9 @@ class Halo:
             sums_tag, unsummed_tag = 2 * number, 2 * number + 1
             shape = patch.nodes.shape[1:]
             if comm.rank == cut.earlier:
-                shared = slice(cut.earlier_first - patch.first_plane, cut.earlier_first - patch.first_plane + cut.planes)
+                shared = slice(
+                    cut.earlier_first - patch.first_plane, cut.earlier_first - patch.first_plane + cut.planes
+                )
                 incoming = np.zeros((len(cut.unsummed), *shape), patch.nodes.dtype)
                 shift = cut.earlier_first - cut.later_first - patch.first_plane
                 self.sends.append((cut.later, sums_tag, patch.nodes[shared]))

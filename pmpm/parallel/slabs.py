@@ -41,7 +41,12 @@ class Slabs:
     def __post_init__(self):
         window = self.reach_low + self.reach_high + 1
         widths = np.diff(self.edges)
-        if self.edges[0] != 0 or self.edges[-1] != self.layers or any(0 < w < window for w in widths) or min(widths) < 0:
+        if (
+            self.edges[0] != 0
+            or self.edges[-1] != self.layers
+            or any(0 < w < window for w in widths)
+            or min(widths) < 0
+        ):
             raise ValueError(f"slabs of {self.edges} must cover 0 .. {self.layers} with at least {window} layers each")
 
     @property
@@ -69,7 +74,9 @@ class Slabs:
         if self.periodic:
             n = self.layers
             first = n - self.reach_low
-            unsummed = tuple((n - shared + q, p) for q in range(shared) for p in range(first, n - shared + q + self.reach_high + 1))
+            unsummed = tuple(
+                (n - shared + q, p) for q in range(shared) for p in range(first, n - shared + q + self.reach_high + 1)
+            )
             found.append(Cut(0, self.active - 1, -self.reach_low, first, shared, unsummed))
         return tuple(found)
 

@@ -5,7 +5,6 @@ from pmpm.physics.words import TINY, sqrt, where
 DIM = 2.0
 
 
-
 def det(A):
     return A[0] * A[3] - A[1] * A[2]
 

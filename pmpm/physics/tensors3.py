@@ -5,11 +5,8 @@ from pmpm.physics.words import SWEEPS, TINY, sqrt, where
 DIM = 3.0
 
 
-
 def det(A):
-    return (
-        A[0] * (A[4] * A[8] - A[5] * A[7]) - A[1] * (A[3] * A[8] - A[5] * A[6]) + A[2] * (A[3] * A[7] - A[4] * A[6])
-    )
+    return A[0] * (A[4] * A[8] - A[5] * A[7]) - A[1] * (A[3] * A[8] - A[5] * A[6]) + A[2] * (A[3] * A[7] - A[4] * A[6])
 
 
 def trace(A):

@@ -110,4 +110,3 @@ def joined(parts, dim):
     if not parts:
         return Seeds(np.zeros((0, dim), np.int32), np.zeros((0, dim)), np.zeros(0, np.int64))
     return Seeds(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("node", "offset", "id")))
-

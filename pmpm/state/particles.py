@@ -22,7 +22,9 @@ class Cloud:
 
     @classmethod
     def empty(cls, size, dim, real):
-        return cls(np.zeros((0, size), real), np.zeros((0, dim), np.int32), np.zeros(0, np.int32), np.zeros(0, np.int64))
+        return cls(
+            np.zeros((0, size), real), np.zeros((0, dim), np.int32), np.zeros(0, np.int32), np.zeros(0, np.int64)
+        )
 
     def __len__(self):
         return len(self.id)

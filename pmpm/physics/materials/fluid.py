@@ -11,8 +11,13 @@ from pmpm.physics.words import exp, log
 SOURCE = "Monaghan (1994), J. Comput. Phys. 110, 399"
 KEYS = (
     DENSITY,
-    Key("sound_speed", "m/s", "speed of sound at rest; ten times the flow speed keeps the density within 1 %",
-        optional=True, above=0.0),
+    Key(
+        "sound_speed",
+        "m/s",
+        "speed of sound at rest; ten times the flow speed keeps the density within 1 %",
+        optional=True,
+        above=0.0,
+    ),
     Key("bulk_modulus", "Pa", "stiffness against compression, instead of sound_speed", optional=True, above=0.0),
     Key("gamma", "-", "exponent of the Tait equation", default=7.0, at_least=1.0, at_most=20.0),
     Key("viscosity", "Pa s", "dynamic viscosity", default=0.0, at_least=0.0, only=0.0),

@@ -1,0 +1,183 @@
+"""The command line. Heavy things are imported by the command that needs them, so that `pmpm --help` answers at once."""
+
+import argparse
+import sys
+import traceback
+
+from pmpm import __version__
+
+FINISHED, FAILED, WRONG_INPUT = 0, 1, 2
+NOT_BUILT = {
+    "render": "pictures and a film of a run, without ParaView",
+    "plot": "diagnostics of a run over time",
+    "study": "error against run time for a scene",
+}
+
+
+def main(arguments=None):
+    """Run the command line; returns the exit status."""
+    from pmpm.parallel import comm as communication
+
+    try:
+        comm = communication.from_launcher()
+    except communication.LaunchError as error:
+        return complain(error, communication.launched(communication.LAUNCHER_RANK) or 0)
+    options = parser(comm.rank).parse_args(arguments)
+    try:
+        return command(options, comm)
+    except BaseException:
+        if comm.size == 1:
+            raise
+        # The other ranks may be waiting for this one: end them all.
+        traceback.print_exc()
+        comm.abort(FAILED)
+        raise
+
+
+def command(options, comm):
+    """Carry out one command; what is wrong with the input becomes one message and exit status 2."""
+    from pmpm.output.files import OutputError
+    from pmpm.scene.errors import SceneError
+
+    if options.command in NOT_BUILT:
+        return complain(f"pmpm {options.command} is not built yet", comm.rank)
+    try:
+        return COMMANDS[options.command](options, comm)
+    except (SceneError, OutputError) as error:
+        return complain(error, comm.rank)
+
+
+def complain(error, rank, status=WRONG_INPUT):
+    if rank == 0:
+        print(f"pmpm: {error}", file=sys.stderr, flush=True)
+    return status
+
+
+class RankParser(argparse.ArgumentParser):
+    """A parser of which only rank 0 speaks."""
+
+    rank = 0
+
+    def _print_message(self, message, file=None):
+        if self.rank == 0:
+            super()._print_message(message, file)
+
+
+def parser(rank=0):
+    RankParser.rank = rank
+    top = RankParser(prog="pmpm", description="Distributed Material Point Method solver.", allow_abbrev=False)
+    top.add_argument("--version", action="version", version=f"pmpm {__version__}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="run a scene: a TOML file or the name of a built-in one", allow_abbrev=False)
+    add_scene(run)
+    run.add_argument("--out", metavar="DIR", help="folder of the run (default: ./<scene name>)")
+    run.add_argument("--overwrite", action="store_true", help="replace a run that is in the folder")
+    run.add_argument("--until", type=float, metavar="T", help="stop at the first step not before T (s)")
+    run.add_argument("--steps", type=int, metavar="N", help="stop after N steps")
+    run.add_argument("--restart", metavar="PATH", help="continue from a checkpoint (not built yet)")
+    run.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="cuda is not built yet")
+    run.add_argument(
+        "--threads", type=int, default=1, metavar="N", help="threads per rank; more than 1 is not built yet"
+    )
+    run.add_argument("--quiet", action="store_true", help="no progress on the screen")
+
+    check = commands.add_parser("check", help="validate and explain a scene, run nothing", allow_abbrev=False)
+    add_scene(check)
+    commands.add_parser("scenes", help="list the built-in scenes")
+    commands.add_parser("materials", help="list material models, their keys, units and sources")
+    info = commands.add_parser("info", help="what a run folder or snapshot holds")
+    info.add_argument("path", metavar="PATH")
+    for name, meaning in NOT_BUILT.items():
+        later = commands.add_parser(name, help=f"{meaning} (not built yet)")
+        later.add_argument("path", nargs="*")
+    return top
+
+
+def add_scene(command_parser):
+    command_parser.add_argument("scene", metavar="SCENE")
+    command_parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change any key of the scene (repeatable)"
+    )
+    command_parser.add_argument("--precision", choices=("float32", "float64"), help="of particles and grid")
+
+
+def read_scene(options):
+    """The scene of the command line, with its overrides."""
+    from pmpm.scene import files
+    from pmpm.scene.schema import Scene
+
+    settings = dict(files.parse_setting(text) for text in options.set)
+    if options.precision:
+        settings["method.precision"] = options.precision
+    return Scene.from_toml(files.find_scene(options.scene), settings)
+
+
+def run(options, comm):
+    from pathlib import Path
+
+    from pmpm.scene.errors import NotBuilt, SceneError
+
+    for given, name in ((options.restart, "--restart"), (options.backend == "cuda", "--backend cuda")):
+        if given:
+            raise NotBuilt(f"{name} is not built yet")
+    if options.threads != 1:
+        if options.threads < 1:
+            raise SceneError(f"--threads {options.threads}: must be at least 1")
+        raise NotBuilt(f"--threads {options.threads} is not built yet: start more ranks instead")
+    for value, name in ((options.until, "--until"), (options.steps, "--steps")):
+        if value is not None and not value > 0:
+            raise SceneError(f"{name} {value}: must be greater than 0")
+    scene = read_scene(options)
+
+    from pmpm.run import run_scene
+    from pmpm.simulation import NumericalFailure
+
+    out = options.out or Path(options.scene).stem
+    try:
+        run_scene(scene, out, comm, options.until, options.steps, options.overwrite, options.quiet)
+    except NumericalFailure as failure:
+        return complain(f"stopped: {failure}", comm.rank, FAILED)
+    if comm.rank == 0 and not options.quiet:
+        print(f"{out}: open {out}/snapshots.xdmf in ParaView, or run: pmpm info {out}", flush=True)
+    return FINISHED
+
+
+def check(options, comm):
+    scene = read_scene(options)
+    from pmpm.explain import explain
+
+    text = explain(scene, max(comm.size, 1))
+    if comm.rank == 0:
+        print(text)
+    return FINISHED
+
+
+def scenes(options, comm):
+    from pmpm.scene.files import builtin_scenes
+    from pmpm.scene.schema import Scene
+
+    for name in builtin_scenes():
+        if comm.rank == 0:
+            print(f"{name:22s} {Scene.builtin(name).title}")
+    return FINISHED
+
+
+def materials(options, comm):
+    from pmpm.explain import material_lines
+
+    if comm.rank == 0:
+        print("\n".join(material_lines()))
+    return FINISHED
+
+
+def info(options, comm):
+    from pmpm.output.reader import describe
+
+    text = describe(options.path)
+    if comm.rank == 0:
+        print(text)
+    return FINISHED
+
+
+COMMANDS = {"run": run, "check": check, "scenes": scenes, "materials": materials, "info": info}

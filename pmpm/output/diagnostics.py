@@ -1,0 +1,35 @@
+"""Diagnostics: the totals of the run as lines of a CSV file, one per call."""
+
+from pmpm.output.files import on_rank_zero
+from pmpm.output.run_directory import DIAGNOSTICS
+
+
+class Diagnostics:
+    """Observer that appends step, time, dt and `simulation.measure()` to DIR/diagnostics.csv.
+
+    Numbers are written so that reading them gives the same bits. Every line is on disk when the call returns.
+    """
+
+    def __init__(self, directory):
+        self.path, self.comm = directory.path / DIAGNOSTICS, directory.comm
+        self.names: list[str] = []
+
+    def __call__(self, simulation):
+        """Append one line. Collective; OutputError on all ranks if it cannot be written."""
+        measured = simulation.measure()
+        row = {"step": simulation.step_count, "time": simulation.time, "dt": simulation.dt} | measured
+
+        def append():
+            header = not self.names
+            names = self.names or list(row)
+            lines = [",".join(names)] if header else []
+            lines.append(",".join(as_text(name, row[name]) for name in names))
+            with open(self.path, "w" if header else "a", encoding="utf-8") as file:
+                file.write("\n".join(lines) + "\n")
+            return names
+
+        self.names = on_rank_zero(self.comm, append)
+
+
+def as_text(name, value):
+    return str(int(value)) if name in ("step", "particles") else repr(float(value))

@@ -1,0 +1,80 @@
+"""How output touches the disk: whole files or none, and a failure on one rank is the same failure on all."""
+
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+
+class OutputError(Exception):
+    """What a run should leave behind cannot be written, or what it left cannot be read; its text is for the user."""
+
+
+def on_rank_zero(comm, action):
+    """Run `action()` on rank 0 and give its (picklable) result to every rank.
+
+    Collective. What goes wrong on rank 0 is raised as the same OutputError on all ranks.
+    """
+    result = failure = cause = None
+    if comm.rank == 0:
+        try:
+            result = action()
+        except Exception as error:
+            failure, cause = explain(error), error
+    result, failure = comm.broadcast((result, failure))
+    if failure is not None:
+        raise OutputError(failure) from cause
+    return result
+
+
+def explain(error):
+    """One line on an exception: path and reason for the system's errors."""
+    if isinstance(error, OutputError):
+        return str(error)
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return f"{type(error).__name__}: {error}"
+
+
+def raise_together(comm, error):
+    """Raise OutputError on all ranks if any rank brings an `error` (an exception or None). Collective."""
+    told = comm.gather(None if error is None else explain(error))
+    failures = [f"rank {rank}: {text}" if comm.size > 1 else text for rank, text in enumerate(told) if text is not None]
+    if failures:
+        raise OutputError(failures[0]) from error
+
+
+def write_atomically(path, text):
+    """Replace the file at `path` by `text`: a reader sees the old file or the new one, never a part."""
+    path = Path(path)
+    unfinished = unfinished_name(path)
+    unfinished.write_text(text, encoding="utf-8")
+    os.replace(unfinished, path)
+
+
+def unfinished_name(path):
+    """Where a file is written before it is renamed to `path`: in the same folder, for a rename must not cross disks."""
+    return path.with_name(f".{path.name}.unfinished")
+
+
+def to_json(value):
+    """JSON text of nested dicts, lists and numbers; NaN and infinity, which JSON has not, become null."""
+    return json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
+
+
+def plain(value):
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    return str(value)

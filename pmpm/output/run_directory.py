@@ -1,0 +1,324 @@
+"""The folder a run leaves behind: who may write it, its log and its record of how the run began and ended.
+
+DIR/scene.toml       exactly what was run
+DIR/log.txt          every message of the run
+DIR/run.json         versions, hosts, ranks, status, and the report at the end
+DIR/run.lock         host and process of the run that writes here; gone when it has ended
+DIR/snapshots/, DIR/snapshots.xdmf, DIR/diagnostics.csv      written by their own files of this room
+"""
+
+import datetime
+import json
+import os
+import platform
+import re
+import socket
+import sys
+import time
+from importlib import metadata
+from pathlib import Path
+
+from pmpm.output.files import OutputError, explain, on_rank_zero, to_json, unfinished_name, write_atomically
+
+FORMAT = "pmpm run"
+FORMAT_VERSION = 1
+SCENE, LOG, RECORD, LOCK = "scene.toml", "log.txt", "run.json", "run.lock"
+INDEX, DIAGNOSTICS, SNAPSHOTS = "snapshots.xdmf", "diagnostics.csv", "snapshots"
+OWN_FILES = (SCENE, LOG, INDEX, DIAGNOSTICS)
+OWN_FOLDERS = (SNAPSHOTS, "checkpoints")
+NUMBERED = re.compile(r"\d{6,}\.hdf")
+NUMBERED_OR_UNFINISHED = re.compile(r"\d{6,}\.hdf|\.\d{6,}\.hdf\.unfinished")
+VERSIONS_OF = ("pmpm", "numpy", "numba", "h5py", "mpi4py", "numba-cuda")
+
+
+class RunDirectory:
+    """A run's folder while it is being written; `path` is absolute. Made by `RunDirectory.create`."""
+
+    def __init__(self, path, comm, record, lock):
+        self.path, self.comm = path, comm
+        self.record, self.lock = record, lock
+        self.began = time.monotonic()
+        self.log_lost = False
+
+    @classmethod
+    def create(cls, path, scene_toml, comm, overwrite=False):
+        """Take the folder `path` for a new run, write scene.toml and run.json and lock it. Collective.
+
+        Raises OutputError, the same on all ranks and before anything is written, if the path is a file, cannot be
+        written, holds a run (unless `overwrite`) or files that are not a run's, or if a live process is writing there.
+        `overwrite` removes what a run wrote and leaves everything else.
+        """
+        hosts = comm.gather(socket.gethostname())
+
+        def prepare():
+            place = Path(os.path.abspath(path))
+            check(place, overwrite)
+            place.mkdir(parents=True, exist_ok=True)
+            lock = take_lock(place)
+            try:
+                record = opening_record(hosts)
+                # First, so that a folder left halfway from here on is still known as a run's.
+                write_atomically(place / RECORD, to_json(record))
+                remove_run(place)
+                write_atomically(place / SCENE, scene_toml)
+            except BaseException:
+                release_lock(place, lock)
+                raise
+            return str(place), record, lock
+
+        place, record, lock = on_rank_zero(comm, prepare)
+        return cls(Path(place), comm, record, lock)
+
+    def log(self, message):
+        """Append a message to log.txt, with the time of day. Rank 0 writes, the others do nothing; not collective.
+
+        A message that cannot be written (disk full) is dropped with one warning on stderr: a run is worth more than its
+        log, and an error raised here would reach one rank only.
+        """
+        if self.comm.rank != 0:
+            return
+        try:
+            with open(self.path / LOG, "a", encoding="utf-8") as file:
+                file.write(f"{now()}  {message}\n")
+        except OSError as error:
+            if not self.log_lost:
+                print(f"pmpm: {self.path / LOG} cannot be written ({error}); messages are lost", file=sys.stderr)
+            self.log_lost = True
+
+    def finish(self, status, report=None):
+        """Write how the run ended into run.json and remove the lock. `status`: "finished", or another word for why not.
+
+        Rank 0 writes, the others do nothing; not collective, so that it may be called while a run is failing.
+        """
+        if self.comm.rank != 0:
+            return
+        self.record |= {
+            "status": status,
+            "ended": now(),
+            "wall_seconds": round(time.monotonic() - self.began, 3),
+            "report": report or {},
+        }
+        try:
+            write_atomically(self.path / RECORD, to_json(self.record))
+        except OSError as error:
+            raise OutputError(f"{self.path / RECORD} cannot be written: {explain(error)}") from error
+        finally:
+            release_lock(self.path, self.lock)
+
+
+def check_new(path, overwrite):
+    """Raise OutputError if a new run may not be written to the folder `path`; changes nothing. Rank 0 asks."""
+    check(Path(os.path.abspath(path)), overwrite)
+
+
+def check(place, overwrite):
+    """Raise OutputError if a new run may not be written to the folder `place`; changes nothing."""
+    if place.exists() and not place.is_dir():
+        raise OutputError(f"{place} is a file, not a folder: give another output folder (--out DIR)")
+    check_writable(place)
+    if not place.exists():
+        return
+    check_unlocked(place)
+    record = read_record(place)
+    if record is None:
+        strangers = sorted(entry.name for entry in place.iterdir() if not entry.name.startswith(LOCK))
+        if strangers:
+            shown = ", ".join(strangers[:3]) + (", ..." if len(strangers) > 3 else "")
+            raise OutputError(
+                f"{place} is not empty and does not hold a run ({shown}): give a new or empty folder (--out DIR); "
+                "--overwrite only replaces runs"
+            )
+    elif not overwrite and record["status"] == "finished":
+        raise OutputError(
+            f"{place} holds a finished run: give another output folder (--out DIR), or --overwrite to replace it "
+            "(overwrite=True in Python)"
+        )
+    elif not overwrite:
+        raise OutputError(
+            f"{place} holds an unfinished run (status: {read_status(place)}): restart, to continue "
+            "it, is not built yet; give another output folder (--out DIR), or --overwrite to start anew "
+            "(overwrite=True in Python)"
+        )
+
+
+def check_writable(place):
+    standing = place
+    while not standing.exists() and standing != standing.parent:
+        standing = standing.parent
+    if not standing.is_dir():
+        raise OutputError(f"{place} cannot be made: {standing} is a file")
+    if not os.access(standing, os.W_OK | os.X_OK):
+        what = "is" if standing == place else f"cannot be made: {standing} is"
+        raise OutputError(f"{place} {what} not writable for you: give another output folder (--out DIR)")
+
+
+def remove_run(place):
+    """Delete, by name, what a run wrote into `place`, all but its record; files that are not a run's stay."""
+    for name in OWN_FILES:
+        (place / name).unlink(missing_ok=True)
+        unfinished_name(place / name).unlink(missing_ok=True)
+    for name in OWN_FOLDERS:
+        folder = place / name
+        if not folder.is_dir():
+            continue
+        for entry in folder.iterdir():
+            if NUMBERED_OR_UNFINISHED.fullmatch(entry.name):
+                entry.unlink()
+        if not folder.is_symlink() and not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def opening_record(hosts):
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "status": "running",
+        "started": now(),
+        "command": sys.argv,
+        "ranks": len(hosts),
+        "hosts": {host: hosts.count(host) for host in sorted(set(hosts))},
+        "platform": platform.platform(),
+        "versions": {"python": platform.python_version()} | {name: version_of(name) for name in VERSIONS_OF},
+    }
+
+
+def version_of(package):
+    """The installed version of a package, without importing it; None if it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def now():
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def read_record(place):
+    """What run.json of the folder `place` holds, or None if that folder holds no run."""
+    try:
+        record = json.loads((Path(place) / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(record, dict) or record.get("format") != FORMAT or "status" not in record:
+        return None
+    return record
+
+
+def read_status(place):
+    """Status of the run in `place`: what run.json says, but "interrupted" for a run whose process is gone."""
+    record = read_record(place)
+    if record is None:
+        raise OutputError(f"{place} does not hold a run: no {RECORD} of pmpm in it")
+    if record["status"] == "running" and not is_live(read_lock(Path(place))):
+        return "interrupted"
+    return record["status"]
+
+
+def snapshot_files(place):
+    """Paths of the finished snapshots of the run in `place`, in order."""
+    folder = Path(place) / SNAPSHOTS
+    if not folder.is_dir():
+        return []
+    return sorted(
+        (entry for entry in folder.iterdir() if NUMBERED.fullmatch(entry.name)), key=lambda path: int(path.stem)
+    )
+
+
+def check_unlocked(place):
+    holder = read_lock(place)
+    if is_live(holder):
+        raise OutputError(
+            f"{place} is being written by process {holder.get('pid', '?')} on {holder.get('host', '?')}: give another "
+            f"output folder (--out DIR), or, if that process is surely gone, delete {place / LOCK}"
+        )
+
+
+def take_lock(place):
+    """Create the lock file of `place` for this process; returns its text. OutputError if another process holds it."""
+    text = json.dumps({"host": socket.gethostname(), "pid": os.getpid(), "began": process_start(os.getpid())})
+    move_stale_lock(place)
+    try:
+        descriptor = os.open(place / LOCK, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
+    except FileExistsError:
+        raise OutputError(
+            f"{place} was taken by another process just now: give another output folder (--out DIR)"
+        ) from None
+    try:
+        os.write(descriptor, text.encode())
+    finally:
+        os.close(descriptor)
+    return text
+
+
+def move_stale_lock(place):
+    """Take the lock of a dead process out of the way. Of two processes that try, at most one gets through.
+
+    Between reading and removing, another process may have put its own lock there: the rename is atomic, so whoever
+    renamed a lock that is not the one it read puts it back and leaves.
+    """
+    stale = read_text(place / LOCK)
+    if stale is None:
+        return
+    check_unlocked(place)
+    aside = place / f"{LOCK}.{os.getpid()}"
+    try:
+        os.rename(place / LOCK, aside)
+    except FileNotFoundError:
+        return
+    if read_text(aside) != stale:
+        os.rename(aside, place / LOCK)
+        check_unlocked(place)
+    aside.unlink(missing_ok=True)
+
+
+def release_lock(place, text):
+    """Remove the lock of `place` if it is still the one with `text`."""
+    if read_text(place / LOCK) == text:
+        (place / LOCK).unlink(missing_ok=True)
+
+
+def read_lock(place):
+    """The lock of `place` as a dict with host and pid; {} for an unreadable one, None if there is none."""
+    text = read_text(place / LOCK)
+    if text is None:
+        return None
+    try:
+        lock = json.loads(text)
+    except ValueError:
+        return {}
+    return lock if isinstance(lock, dict) else {}
+
+
+def read_text(path):
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        return None
+
+
+def is_live(lock):
+    """Whether the process that wrote a lock may still run; one on another host is taken to."""
+    if lock is None:
+        return False
+    pid = lock.get("pid")
+    if lock.get("host") != socket.gethostname() or not isinstance(pid, int) or pid <= 0:
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    # Process numbers come round again, in containers soon: a later process under the same number is not the writer.
+    return None in (lock.get("began"), process_start(pid)) or lock["began"] == process_start(pid)
+
+
+def process_start(pid):
+    """When a process on this host began, in clock ticks since the machine's start; None where /proc does not say."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return None
+    # The second field is the program's name in brackets and may hold spaces; the start is field 22.
+    return int(text.rpartition(")")[2].split()[19])

@@ -1,0 +1,344 @@
+"""Snapshots: all particles at one time in one HDF5 file, written by all ranks at once, and the index over them.
+
+One snapshot file is two things at once: a VTKHDF UnstructuredGrid of one time step, and the heavy data of the XDMF
+index DIR/snapshots.xdmf, the file to open in ParaView. Older ParaViews read no time-dependent VTKHDF, and the XDMF
+index works in old and new ones. Rows stand in the one global order: rank 0's particles, then rank 1's, so no file
+tells how many ranks wrote it.
+"""
+
+import os
+import socket
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from pmpm.output.files import OutputError, on_rank_zero, raise_together, unfinished_name, write_atomically
+from pmpm.output.run_directory import INDEX, SNAPSHOTS
+from pmpm.physics.materials import LAWS
+
+FORMAT_VERSION = 1
+VTK_VERTEX = 1
+COMMON_FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "density", "speed", "material")
+UNITS = {
+    "Points": "m",
+    "velocity": "m/s",
+    "speed": "m/s",
+    "pressure": "Pa",
+    "stress": "Pa",
+    "deformation_gradient": "-",
+    "J": "-",
+    "density": "kg/m3",
+}
+
+
+class SnapshotWriter:
+    """Observer that writes DIR/snapshots/000000.hdf, 000001.hdf, ... and the index over them.
+
+    `fields` are the names to write beside `id` (default: scene.output.fields). `parallel`: how several ranks write one
+    file, "mpio" (collective MPI-IO, needs an h5py built with MPI; the default where it is) or "pwrite" (rank 0 lays
+    the file out, every rank writes its bytes into it).
+    """
+
+    def __init__(self, directory, scene, fields=None, parallel=None):
+        self.directory, self.scene, self.comm = directory, scene, directory.comm
+        self.names = list(scene.output.fields if fields is None else fields)
+        self.parallel = parallel or default_parallel(self.comm)
+        self.entries: list[str] = []
+        on_rank_zero(self.comm, lambda: (directory.path / SNAPSHOTS).mkdir(exist_ok=True))
+        hosts = set(self.comm.gather(socket.gethostname()))
+        if self.parallel == "pwrite" and len(hosts) > 1:
+            directory.log(
+                f"snapshots are written from {len(hosts)} hosts by plain writes to one file: on NFS this is not "
+                "safe. Use a parallel file system (Lustre, GPFS, BeeGFS), or an h5py built with MPI"
+            )
+
+    def __call__(self, simulation):
+        """Write one snapshot of `simulation`. Collective; OutputError on all ranks if any rank fails."""
+        path = self.directory.path / SNAPSHOTS / f"{len(self.entries):06d}.hdf"
+        pieces, failure = {}, None
+        try:
+            pieces = collect(simulation, self.scene, self.names)
+        except Exception as error:
+            failure = error
+        raise_together(self.comm, failure)
+        first, count = self.comm.offsets(simulation.rows())
+        pieces = topology(self.comm, first, simulation.rows(), count) | pieces
+        attributes = snapshot_attributes(simulation, self.scene)
+        shapes = write_datasets(self.comm, path, pieces, attributes, self.parallel)
+        self.entries.append(index_entry(path, simulation.time, shapes))
+        text = index_text(self.scene.title, self.entries)
+        on_rank_zero(self.comm, lambda: write_atomically(self.directory.path / INDEX, text))
+
+
+def default_parallel(comm):
+    """ "mpio" if several ranks meet an h5py that was built with MPI, else "pwrite"."""
+    if comm.size == 1:
+        return "pwrite"
+    import h5py
+
+    return "mpio" if h5py.get_config().mpi else "pwrite"
+
+
+def collect(simulation, scene, names):
+    """This rank's rows of every particle dataset, by path in the file. OutputError if rows are missing."""
+    names = [name for name in names if name != "id"]
+    fields = simulation.fields(["id", "x", *names])
+    own_state = [name for name in names if name not in COMMON_FIELDS]
+    laws = simulation.law_fields(own_state) if own_state else {}
+
+    points = three_columns(fields["x"]).astype(np.float64 if scene.method.precision == "float64" else np.float32)
+    pieces = {"VTKHDF/Points": points}
+    for name in ["id", *names]:
+        pieces[f"VTKHDF/PointData/{name}"] = three_columns(fields[name]) if name == "velocity" else fields[name]
+    for path, rows in pieces.items():
+        if len(rows) != simulation.rows():
+            raise OutputError(f"{path} has {len(rows)} rows for {simulation.rows()} particles")
+    for law, state in laws.items():
+        pieces |= {f"pmpm/{law}/{name}": rows for name, rows in state.items()}
+    return pieces
+
+
+def three_columns(vectors):
+    """(n, 3) from (n, dim): in 2-D the third component is zero, for VTK knows only space."""
+    vectors = np.asarray(vectors)
+    wide = np.zeros((len(vectors), 3), vectors.dtype)
+    wide[:, : vectors.shape[1]] = vectors
+    return wide
+
+
+def topology(comm, first, rows, count):
+    """This rank's rows of what VTK needs to draw `count` particles as one vertex each, all in one partition.
+
+    One partition, whatever the number of ranks: with several, Connectivity would count anew in each, and mean another
+    thing to XDMF than to VTKHDF.
+    """
+    here = np.arange(first, first + rows, dtype=np.int64)
+    is_last = comm.rank == comm.size - 1
+    total = np.full(1 if comm.rank == 0 else 0, count, np.int64)
+    return {
+        "VTKHDF/NumberOfPoints": total,
+        "VTKHDF/NumberOfCells": total,
+        "VTKHDF/NumberOfConnectivityIds": total,
+        "VTKHDF/Connectivity": here,
+        "VTKHDF/Offsets": np.append(here, count) if is_last else here,
+        "VTKHDF/Types": np.full(rows, VTK_VERTEX, np.uint8),
+    }
+
+
+def snapshot_attributes(simulation, scene):
+    """Attributes of the file's two groups. Text has a fixed length: VTK wants that of Type, and parallel HDF5."""
+    return {
+        "VTKHDF": {"Version": np.array([1, 0], np.int64), "Type": np.bytes_("UnstructuredGrid")},
+        "pmpm": {
+            "format_version": np.int64(FORMAT_VERSION),
+            "time": np.float64(simulation.time),
+            "step": np.int64(simulation.step_count),
+            "dt": np.float64(simulation.dt),
+            "title": scene.title or "",
+            "dim": np.int64(scene.dim),
+            "precision": scene.method.precision,
+            "materials": list(scene.materials),
+        },
+    }
+
+
+def write_datasets(comm, path, pieces, attributes, parallel):
+    """Write one HDF5 file of contiguous datasets whose rows are the ranks' `pieces`, rank after rank. Collective.
+
+    `pieces` is {dataset path: array}, `attributes` {group: {name: value}}; datasets get the unit that goes with their
+    name. The file appears at `path` whole or not at all. Returns {dataset path: (shape, dtype)}. A rank may have no
+    rows, or lack a dataset that another rank has. OutputError on all ranks if any fails.
+    """
+    pieces = {name: little_endian(rows) for name, rows in pieces.items()}
+    shapes, starts = join_pieces(comm, pieces)
+    units = UNITS | {field.name: field.unit for law in LAWS.values() for field in law.STATE}
+    named = {name: name.rpartition("/")[2] for name in shapes}
+    attributes = attributes | {name: {"unit": units[last]} for name, last in named.items() if last in units}
+    unfinished = unfinished_name(path)
+    write = write_mpio if parallel == "mpio" and comm.size > 1 else write_pwrite
+    try:
+        write(comm, unfinished, pieces, shapes, starts, attributes)
+    except OutputError as error:
+        if comm.rank == 0:
+            unfinished.unlink(missing_ok=True)
+        raise OutputError(f"snapshot {path} cannot be written: {error}") from error
+    on_rank_zero(comm, lambda: os.replace(unfinished, path))
+    return shapes
+
+
+def little_endian(rows):
+    rows = np.asarray(rows)
+    return np.ascontiguousarray(rows, rows.dtype.newbyteorder("<"))
+
+
+def join_pieces(comm, pieces):
+    """({path: (shape over all ranks, dtype)}, {path: first row of this rank}); OutputError if pieces do not fit."""
+    told = comm.gather({name: (rows.shape, rows.dtype.str) for name, rows in pieces.items()})
+    shapes, starts = {}, {}
+    for name in dict.fromkeys(name for rank in told for name in rank):
+        kinds = {(rank[name][0][1:], rank[name][1]) for rank in told if name in rank}
+        if len(kinds) > 1:
+            raise OutputError(f"{name} differs in shape or type between ranks: {sorted(map(str, kinds))}")
+        columns, dtype = kinds.pop()
+        counts = [rank[name][0][0] if name in rank else 0 for rank in told]
+        shapes[name] = ((sum(counts), *columns), np.dtype(dtype))
+        starts[name] = sum(counts[: comm.rank])
+    return shapes, starts
+
+
+def write_pwrite(comm, path, pieces, shapes, starts, attributes):
+    """Rank 0 lays the file out, then every rank writes its bytes to their place: parallel with an h5py without MPI.
+
+    Needs contiguous datasets of a fixed byte order, and rank 0 done with the file before the others open it.
+    """
+
+    def lay_out():
+        import h5py
+
+        with h5py.File(path, "w") as file:
+            datasets = {name: create_dataset(file, name, *shapes[name]) for name in shapes}
+            write_attributes(file, attributes)
+            # An empty dataset has no place in the file.
+            return {name: dataset.id.get_offset() for name, dataset in datasets.items()}
+
+    places = on_rank_zero(comm, lay_out)
+    failure = None
+    try:
+        descriptor = os.open(path, os.O_WRONLY)
+        try:
+            for name, rows in pieces.items():
+                if rows.size:
+                    row_bytes = rows.dtype.itemsize * int(np.prod(rows.shape[1:], dtype=np.int64))
+                    write_bytes(descriptor, rows, places[name] + starts[name] * row_bytes)
+        finally:
+            os.close(descriptor)
+    except Exception as error:
+        failure = error
+    raise_together(comm, failure)
+
+
+def write_bytes(descriptor, rows, place):
+    """Write all bytes of a contiguous array at `place` of an open file: the system may take only a part at a time."""
+    waiting = memoryview(rows.reshape(-1).view(np.uint8))
+    while len(waiting):
+        written = os.pwrite(descriptor, waiting, place)
+        if written <= 0:
+            raise OSError(f"the system took none of {len(waiting)} bytes")
+        waiting, place = waiting[written:], place + written
+
+
+def write_mpio(comm, path, pieces, shapes, starts, attributes):
+    """All ranks write through HDF5 and MPI-IO, collectively: needs an h5py built with MPI."""
+    import h5py
+
+    failure = None
+    try:
+        transfer = h5py.h5p.create(h5py.h5p.DATASET_XFER)
+        transfer.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
+        with h5py.File(path, "w", driver="mpio", comm=comm.communicator) as file:
+            datasets = {name: create_dataset(file, name, *shapes[name]) for name in shapes}
+            write_attributes(file, attributes)
+            for name, dataset in datasets.items():
+                shape, dtype = shapes[name]
+                if not np.prod(shape, dtype=np.int64):
+                    continue
+                rows = pieces.get(name, np.empty((0, *shape[1:]), dtype))
+                here, there = h5py.h5s.create_simple((max(len(rows), 1), *shape[1:])), dataset.id.get_space()
+                # A rank without rows must still take part, with nothing selected.
+                if len(rows):
+                    there.select_hyperslab((starts[name], *[0] * (rows.ndim - 1)), rows.shape)
+                else:
+                    here.select_none()
+                    there.select_none()
+                dataset.id.write(here, there, rows, dxpl=transfer)
+    except Exception as error:
+        failure = error
+    raise_together(comm, failure)
+
+
+def create_dataset(file, name, shape, dtype):
+    """Create a contiguous dataset whose place in the file is fixed at once and which is not filled."""
+    import h5py
+
+    kind = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    kind.set_layout(h5py.h5d.CONTIGUOUS)
+    kind.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    kind.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    kind.set_obj_track_times(False)
+    group, _, last = name.rpartition("/")
+    space, datatype = h5py.h5s.create_simple(shape), h5py.h5t.py_create(dtype)
+    return h5py.Dataset(h5py.h5d.create(file.require_group(group).id, last.encode(), datatype, space, kind))
+
+
+def write_attributes(file, attributes):
+    for path, values in attributes.items():
+        for name, value in values.items():
+            write_attribute(file[path] if path in file else file.create_group(path), name, value)
+
+
+def write_attribute(item, name, value):
+    """Write one attribute; text and lists of text as UTF-8 of a fixed length."""
+    import h5py
+
+    if isinstance(value, str | list) and not isinstance(value, np.bytes_):
+        encoded = np.char.encode(np.array(value, dtype=np.str_), "utf-8")
+        item.attrs.create(name, encoded, dtype=h5py.string_dtype("utf-8", max(encoded.dtype.itemsize, 1)))
+    else:
+        item.attrs.create(name, value)
+
+
+def index_text(title, entries):
+    """XDMF text of a collection over time."""
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n'
+        '<Xdmf Version="3.0">\n<Domain>\n'
+        f'<Grid Name={quoteattr(title or "pmpm")} GridType="Collection" CollectionType="Temporal">\n'
+        + "".join(entries)
+        + "</Grid>\n</Domain>\n</Xdmf>\n"
+    )
+
+
+def index_entry(path, time, shapes):
+    """XDMF text of one snapshot; none for one without particles, which VTK's XDMF reader takes for an error.
+
+    The vertices are listed one by one: without Connectivity, ParaView 5.11 reads points but no cells, and its Surface
+    view stays empty.
+    """
+    file = f"{SNAPSHOTS}/{Path(path).name}"
+    count = shapes["VTKHDF/Points"][0][0]
+    if count == 0:
+        return ""
+    lines = [
+        f"<Grid Name={quoteattr(Path(path).stem)}>",
+        f'<Time Value="{float(time)!r}"/>',
+        f'<Topology TopologyType="Polyvertex" NumberOfElements="{count}" NodesPerElement="1">',
+        index_item(file, "VTKHDF/Connectivity", shapes),
+        "</Topology>",
+        '<Geometry GeometryType="XYZ">',
+        index_item(file, "VTKHDF/Points", shapes),
+        "</Geometry>",
+    ]
+    for name in shapes:
+        if name.startswith("VTKHDF/PointData/"):
+            kind = {1: "Scalar", 3: "Vector", 6: "Tensor6", 9: "Tensor"}.get(columns_of(shapes[name][0]), "Matrix")
+            lines += [
+                f'<Attribute Name={quoteattr(name.rpartition("/")[2])} AttributeType="{kind}" Center="Node">',
+                index_item(file, name, shapes),
+                "</Attribute>",
+            ]
+    return "\n".join([*lines, "</Grid>\n"])
+
+
+def columns_of(shape):
+    return int(np.prod(shape[1:], dtype=np.int64))
+
+
+def index_item(file, name, shapes):
+    shape, dtype = shapes[name]
+    number = {"f": "Float", "i": "Int", "u": "UInt"}[dtype.kind]
+    size = " ".join(str(length) for length in shape)
+    return (
+        f'<DataItem Dimensions="{size}" NumberType="{number}" Precision="{dtype.itemsize}" Format="HDF">'
+        f"{file}:/{name}</DataItem>"
+    )

@@ -1,0 +1,107 @@
+"""From a scene to what the floors below take: plain constants, tables and boxes of nodes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmpm.kernels.needs import PADDING, Needs, law_needs
+from pmpm.scene.errors import SceneError
+from pmpm.state.grid import Geometry
+
+FACES = ("min", "max")
+
+
+def scene_needs(scene):
+    """What a scene asks of the kernels. Slabs are cut across the axis with the most cells."""
+    used = [scene.materials[body.material] for body in scene.bodies]
+    laws = tuple(dict.fromkeys(law_needs(m.model, m.parameters) for m in used))
+    walls = tuple(sorted({wall.type for wall in scene.domain.walls.values()} - {"free"}))
+    method = scene.method
+    slab_axis = int(np.argmax(scene.cells))
+    return Needs(scene.dim, method.precision, method.transfer, method.shape_function, slab_axis, laws, walls)
+
+
+def grid_geometry(scene, needs):
+    """The grid of a scene. Raises SceneError where it cannot hold the scene."""
+    periodic = tuple("xyz"[axis] in scene.domain.periodic for axis in range(scene.dim))
+    geometry = Geometry(scene.cells, periodic, scene.domain.cell_size, needs.axes, needs.stencil)
+    check_axes(geometry)
+    return geometry
+
+
+def check_axes(geometry):
+    """Raise SceneError where the grid cannot hold the scene: too few cells on a periodic axis, too many across slabs."""
+    for axis in range(geometry.dim):
+        name, cells, window = "xyz"[axis], geometry.cells[axis], geometry.stencil.window
+        if geometry.periodic[axis] and cells < window:
+            raise SceneError(f"scene: domain.periodic: axis {name} has {cells} cells, a periodic axis needs {window}")
+        if geometry.dim == 3 and axis != geometry.axes[0] and cells > 65_000:
+            raise SceneError(f"scene: domain.cell_size: {cells} cells along {name}; at most 65000 in 3-D")
+
+
+def law_table(scene, law):
+    """(bodies, 3 + parameters) float64: mass, volume0, density and the law's parameters of each body of this law."""
+    dim, rows = scene.dim, []
+    volume = scene.domain.cell_size**dim
+    for body in scene.bodies:
+        material = scene.materials[body.material]
+        if law_needs(material.model, material.parameters) == law:
+            keys = material.parameters
+            volume0 = volume / body.particles_per_cell
+            rows.append([keys["density"] * volume0, volume0, keys["density"], *law.module.parameters(keys, dim)])
+        else:
+            rows.append(None)
+    width = max(len(row) for row in rows if row is not None)
+    return np.array([row if row is not None else [0.0] * width for row in rows])
+
+
+def domain_limits(scene, geometry, real):
+    """(limits, edges): first and last centre node a particle may have along each axis, and how far beyond them in cells.
+
+    Rules of a wall act on the nodes at and beyond it; a quadratic stencil then keeps every particle within half a cell of
+    the wall. Through a free face nothing holds it: it may not pass at all. Periodic axes allow the padding.
+    """
+    limits = np.zeros((geometry.dim, 2), np.int64)
+    edges = np.zeros((geometry.dim, 2), real)
+    for axis in range(geometry.dim):
+        last = geometry.cells[axis]
+        if geometry.periodic[axis]:
+            limits[axis] = -PADDING, last - 1 + PADDING
+            edges[axis] = -1.0, 1.0
+            continue
+        limits[axis] = 0, last
+        for side, sign in enumerate((-1.0, 1.0)):
+            wall = scene.domain.wall(f"{'xyz'[axis]}_{FACES[side]}")
+            edges[axis, side] = 0.0 if wall.type == "free" else sign
+    return limits, edges
+
+
+@dataclass(frozen=True)
+class PatchWall:
+    """The nodes of a rank's patch at and beyond one face: box (i0, i1, j0, j1, k0, k1), normal into the material."""
+
+    type: str
+    box: tuple[int, ...]
+    normal: np.ndarray
+    coefficient: float
+
+
+def patch_walls(scene, geometry, patch, real):
+    """The walls of the domain, in this patch's counting."""
+    walls, stencil = [], geometry.stencil
+    array_axis = {axis: number for number, axis in enumerate(geometry.axes) if axis >= 0}
+    for face, wall in scene.domain.walls.items():
+        if wall.type == "free":
+            continue
+        axis, at_max = "xyz".index(face[0]), face.endswith("max")
+        box = [0, patch.planes, 0, patch.nodes.shape[1], 0, patch.nodes.shape[2]]
+        origin = patch.first_plane if axis == geometry.axes[0] else -stencil.reach_low
+        place = 2 * array_axis[axis]
+        if at_max:
+            box[place] = max(box[place], geometry.cells[axis] - origin)
+        else:
+            box[place + 1] = min(box[place + 1], 1 - origin)
+        normal = np.zeros(geometry.dim, real)
+        normal[axis] = -1.0 if at_max else 1.0
+        walls.append(PatchWall(wall.type, tuple(box), normal, real(wall.coefficient)))
+    return walls

@@ -1,0 +1,346 @@
+"""The scene: validated input, defaults filled in, before anything is allocated or run."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+import tomli_w
+from pydantic import BeforeValidator, Field, ValidationError, field_serializer, model_serializer, model_validator
+
+from pmpm.physics.materials import LAWS
+from pmpm.scene import files
+from pmpm.scene.materials import AnyMaterial
+from pmpm.scene.messages import Problem, Problems, known_text, scene_error, value_text
+from pmpm.scene.part import Part
+from pmpm.scene.shapes import AXES, Shape, wrong_length
+from pmpm.scene.values import check_word, choice, names, number, tables, text, vector, whole
+
+WALLS = ("stick", "slip", "separate", "friction", "free")
+PLANNED_WALLS = ("open",)
+FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "density", "material", "speed")
+CFL = 0.4
+SNAPSHOTS, DIAGNOSTICS = 50, 200
+# How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
+ROUNDING = 1e-9
+MOST_CELLS = 2**31
+# Default of what is filled in once the rest of the scene is known.
+LATER: Any = None
+
+
+class Wall(Part):
+    """What one face of the domain does to material that reaches it."""
+
+    type: Annotated[str, choice(WALLS, PLANNED_WALLS)] = Field(description=f"one of {', '.join(WALLS)}")
+    coefficient: Annotated[float, number(at_least=0.0)] = Field(
+        default=0.0, description="coefficient of Coulomb friction"
+    )
+
+    @model_validator(mode="after")
+    def check_coefficient(self) -> "Wall":
+        given = "coefficient" in self.model_fields_set
+        if self.type == "friction" and not given:
+            raise Problems(
+                Problem((), 'must give the coefficient: { type = "friction", coefficient = 0.4 }', "friction")
+            )
+        if self.type != "friction" and given:
+            raise Problems(
+                Problem(("coefficient",), f"belongs to a friction wall, not to {self.type}", self.coefficient)
+            )
+        return self
+
+    @model_serializer
+    def short(self) -> Any:
+        return {"type": self.type, "coefficient": self.coefficient} if self.type == "friction" else self.type
+
+
+def wall_table(value: Any) -> Any:
+    """Turn the short form, a wall's type alone, into a table."""
+    if not isinstance(value, str):
+        return value
+    check_word(value, WALLS, PLANNED_WALLS)
+    return {"type": value}
+
+
+def face_table(value: Any) -> Any:
+    if not isinstance(value, Mapping) or not all(isinstance(face, str) for face in value):
+        raise Problems(Problem((), 'must be a table like { x_min = "slip" }', value))
+    return dict(value)
+
+
+class Domain(Part):
+    """The box that the grid fills, the faces around it, and gravity."""
+
+    size: Annotated[tuple[float, ...], vector("m", above=0.0)] = Field(
+        description="two edge lengths for 2-D plane strain, three for 3-D (m)"
+    )
+    cell_size: Annotated[float, number("m", above=0.0)] = Field(description="edge of a grid cell (m)")
+    gravity: Annotated[tuple[float, ...], vector("m/s2")] = Field(
+        default=LATER, description="acceleration of gravity, zero if not given (m/s2)"
+    )
+    walls: Annotated[dict[str, Annotated[Wall, BeforeValidator(wall_table)]], BeforeValidator(face_table)] = Field(
+        default_factory=dict, description="face -> wall; separate where not given"
+    )
+    periodic: Annotated[tuple[str, ...], names()] = Field(default=(), description="axes along which the domain repeats")
+
+    @property
+    def dim(self) -> int:
+        """Number of dimensions, 2 or 3."""
+        return len(self.size)
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """Number of cells along each axis."""
+        return tuple(round(length / self.cell_size) for length in self.size)
+
+    def wall(self, face: str) -> Wall:
+        """Return the wall at a face such as `x_min`; KeyError on a periodic axis, which has none."""
+        return self.walls[face]
+
+    @model_validator(mode="after")
+    def complete(self) -> "Domain":
+        """Check what depends on more than one key and fill in gravity and walls."""
+        problems = [*self.wrong_cells(), *self.wrong_faces()]
+        if self.gravity is not None:
+            problems += wrong_length("gravity", self.gravity, self.dim)
+        if problems:
+            raise Problems(*problems)
+        walled = [axis for axis in AXES[: self.dim] if axis not in self.periodic]
+        faces = [f"{axis}_{end}" for axis in walled for end in ("min", "max")]
+        separate = Wall(type="separate")
+        settle(self, walls={face: self.walls.get(face, separate) for face in faces})
+        settle(self, gravity=(0.0,) * self.dim if self.gravity is None else self.gravity)
+        return self
+
+    def wrong_cells(self) -> Iterator[Problem]:
+        dx = self.cell_size
+        # Compared before dividing, so that no quotient overflows.
+        if any(length > dx * MOST_CELLS for length in self.size):
+            yield Problem(("cell_size",), f"m is too small: more than {MOST_CELLS} cells along an axis", dx)
+            return
+        counts = [length / dx for length in self.size]
+        if math.prod(counts) > MOST_CELLS * max(counts):
+            total = f"{math.prod(counts):.3g} cells in all"
+            yield Problem(("cell_size",), f"m is too small: {total}, more than {MOST_CELLS} in a plane", dx)
+        for axis, (length, count) in enumerate(zip(self.size, counts, strict=True)):
+            if count < 1.0 - ROUNDING:
+                yield Problem(("cell_size",), f"m must be at most domain.size[{axis}] = {length} m", dx)
+            elif abs(count - round(count)) > ROUNDING * count:
+                fit = [f"{n * dx:.10g} m ({n} cells)" for n in (int(count), int(count) + 1)]
+                text = f"m is not a whole number of cells of {dx} m; the nearest are {' and '.join(fit)}"
+                yield Problem(("size", axis), text, length)
+
+    def wrong_faces(self) -> Iterator[Problem]:
+        axes = AXES[: self.dim]
+        for index, axis in enumerate(self.periodic):
+            if axis not in axes:
+                yield Problem(
+                    ("periodic", index), f"is not an axis of this {self.dim}-D domain: {', '.join(axes)}", axis
+                )
+        faces = [f"{axis}_{end}" for axis in axes for end in ("min", "max")]
+        for face in self.walls:
+            if face not in faces:
+                yield Problem(("walls", face), f"is not a known face; {known_text(face, faces, 'faces')}")
+            elif face[0] in self.periodic:
+                yield Problem(("walls", face), f"cannot be given: the domain is periodic along {face[0]}")
+
+
+class Method(Part):
+    """The scheme."""
+
+    PLANNED: ClassVar[tuple[str, ...]] = ("flip_blend",)
+    transfer: Annotated[str, choice(("apic", "mls"), ("pic", "flip"))] = Field(
+        default="apic", description="transfer scheme"
+    )
+    shape_function: Annotated[str, choice(("quadratic",), ("linear", "cubic"))] = Field(
+        default="quadratic", description="B-spline of the grid"
+    )
+    integrator: Annotated[str, choice(("explicit",))] = Field(default="explicit", description="time integration")
+    precision: Annotated[str, choice(("float32", "float64"))] = Field(
+        default="float64", description="of particles and grid"
+    )
+
+
+class Time(Part):
+    """How long to run and in which steps."""
+
+    end: Annotated[float, number("s", above=0.0)] = Field(description="time at which the run is finished (s)")
+    cfl: Annotated[float | None, number(above=0.0, at_most=1.0)] = Field(
+        default=None, description=f"fraction of the stable step, {CFL} unless step is given"
+    )
+    step: Annotated[float | None, number("s", above=0.0)] = Field(default=None, description="a fixed step (s)")
+
+    @model_validator(mode="after")
+    def complete(self) -> "Time":
+        """Fill in cfl unless a fixed step is asked for."""
+        if self.step is not None and self.cfl is not None:
+            raise Problems(Problem(("step",), f"s excludes cfl = {self.cfl}: give one of the two", self.step))
+        if self.step is None and self.cfl is None:
+            settle(self, cfl=CFL)
+        return self
+
+
+class Body(Part):
+    """A shape filled with particles of one material."""
+
+    material: Annotated[str, text()] = Field(description="name of one of the materials")
+    shape: Shape = Field(description="table with a type and its measures")
+    particles_per_cell: Annotated[int, whole(1, 4096)] = Field(
+        default=LATER,
+        description="number of particles in a full cell, 4 in 2-D and 8 in 3-D if not given",
+    )
+    velocity: Annotated[tuple[float, ...], vector("m/s")] = Field(
+        default=LATER, description="at the start, zero if not given (m/s)"
+    )
+    pressure: Annotated[str, choice(("zero", "hydrostatic"))] = Field(default="zero", description="at the start")
+
+
+class Output(Part):
+    """What is written, and how often."""
+
+    PLANNED: ClassVar[tuple[str, ...]] = ("checkpoint_interval",)
+    snapshot_interval: Annotated[float, number("s", above=0.0)] = Field(
+        default=LATER, description=f"between snapshots, end/{SNAPSHOTS} if not given (s)"
+    )
+    diagnostics_interval: Annotated[float, number("s", above=0.0)] = Field(
+        default=LATER, description=f"between rows of diagnostics, end/{DIAGNOSTICS} if not given (s)"
+    )
+    fields: Annotated[tuple[str, ...], names()] = Field(
+        default=("velocity", "pressure", "material"), description="particle fields in a snapshot"
+    )
+
+
+def material_table(value: Any) -> Any:
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
+        raise Problems(Problem((), "must be a table with one table for each material, like [materials.sand]", value))
+    if not value:
+        raise Problems(Problem((), "must have at least one material"))
+    if "" in value:
+        raise Problems(Problem(("",), "must have a name"))
+    return dict(value)
+
+
+class Scene(Part):
+    """Everything a run depends on; complete and checked. Raises SceneError, whose text is the message for the user."""
+
+    PLANNED: ClassVar[tuple[str, ...]] = ("colliders",)
+    title: Annotated[str, text()] = Field(default="", description="what the scene shows")
+    domain: Domain = Field(description="table with size and cell_size")
+    method: Method = Field(default=Method(), description="table of the scheme")
+    time: Time = Field(description="table with end")
+    materials: Annotated[dict[str, AnyMaterial], BeforeValidator(material_table)] = Field(
+        description="one table for each material, like [materials.sand]"
+    )
+    bodies: Annotated[tuple[Body, ...], tables("body")] = Field(description="one table [[bodies]] for each body")
+    output: Output = Field(default=Output(), description="table of what is written")
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "scene", overrides: Mapping[str, Any] | None = None) -> "Scene":
+        """Read a scene from TOML text; `source` is what messages call it, `overrides` are dotted keys and values."""
+        table = files.parse_toml(text, source)
+        overridden = files.override(table, overrides or {}, source)
+        try:
+            return cls.model_validate(table)
+        except ValidationError as error:
+            raise scene_error(error.errors(include_url=False), source, overridden) from None
+
+    @classmethod
+    def from_toml(cls, path: str | Path, overrides: Mapping[str, Any] | None = None) -> "Scene":
+        """Read a scene file; `overrides` such as {"time.end": 0.5, "bodies.0.velocity": [1, 0]} are set on top."""
+        return cls.from_text(files.read_text(path), str(path), overrides)
+
+    @classmethod
+    def builtin(cls, name: str, overrides: Mapping[str, Any] | None = None) -> "Scene":
+        """Read one of the scenes that come with pmpm."""
+        return cls.from_text(files.read_text(files.builtin_path(name)), name, overrides)
+
+    @property
+    def dim(self) -> int:
+        """Number of dimensions, 2 or 3."""
+        return self.domain.dim
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """Number of cells along each axis."""
+        return self.domain.cells
+
+    def to_toml(self) -> str:
+        """Write the scene with all defaults filled in; reading it back gives an equal scene."""
+        return tomli_w.dumps(self.model_dump(exclude_none=True))
+
+    @field_serializer("bodies")
+    def list_of_bodies(self, bodies: tuple[Body, ...]) -> list[dict[str, Any]]:
+        return [body.model_dump(exclude_none=True) for body in bodies]
+
+    @model_validator(mode="after")
+    def complete(self) -> "Scene":
+        """Check what depends on more than one table and fill in what depends on dimension and duration."""
+        problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_body(body, index)]
+        problems += self.wrong_fields()
+        if problems:
+            raise Problems(*problems)
+        settle(self, bodies=tuple(self.complete_body(body) for body in self.bodies))
+        settle(self, output=self.complete_output())
+        return self
+
+    def complete_body(self, body: Body) -> Body:
+        count = 2**self.dim if body.particles_per_cell is None else body.particles_per_cell
+        velocity = (0.0,) * self.dim if body.velocity is None else body.velocity
+        return body.model_copy(update={"particles_per_cell": count, "velocity": velocity})
+
+    def complete_output(self) -> Output:
+        snapshots, diagnostics = self.output.snapshot_interval, self.output.diagnostics_interval
+        defaults = {
+            "snapshot_interval": self.time.end / SNAPSHOTS if snapshots is None else snapshots,
+            "diagnostics_interval": self.time.end / DIAGNOSTICS if diagnostics is None else diagnostics,
+        }
+        return self.output.model_copy(update=defaults)
+
+    def wrong_body(self, body: Body, index: int) -> Iterator[Problem]:
+        here = ("bodies", index)
+        if body.material not in self.materials:
+            near = known_text(body.material, self.materials, "materials")
+            yield Problem((*here, "material"), f"is not a material of this scene; {near}", body.material)
+        elif body.pressure == "hydrostatic":
+            yield from self.wrong_pressure(body, (*here, "pressure"))
+        if body.velocity is not None:
+            for problem in wrong_length("velocity", body.velocity, self.dim):
+                yield Problem((*here, *problem.path), problem.text, problem.value)
+        misfits = body.shape.misfits(self.dim)
+        for problem in misfits:
+            yield Problem((*here, "shape", *problem.path), problem.text, problem.value)
+        if not misfits:
+            yield from self.outside(body, (*here, "shape"))
+
+    def outside(self, body: Body, path: tuple[str | int, ...]) -> Iterator[Problem]:
+        size = np.array(self.domain.size)
+        low, high = body.shape.bounds()
+        beyond = (low < -ROUNDING * size) | (high > (1.0 + ROUNDING) * size)
+        for axis in np.flatnonzero(beyond):
+            reach = f"from {low[axis]:.10g} to {high[axis]:.10g} m along {AXES[axis]}"
+            yield Problem(path, f"reaches out of the domain: {reach}, the domain from 0 to {size[axis]:.10g} m")
+
+    def wrong_pressure(self, body: Body, path: tuple[str | int, ...]) -> Iterator[Problem]:
+        model = self.materials[body.material].model
+        if not hasattr(LAWS[model], "hydrostatic_state"):
+            liquids = [name for name, law in LAWS.items() if hasattr(law, "hydrostatic_state")]
+            yield Problem(path, f"is for {', '.join(liquids)} only; {body.material} is {model}", body.pressure)
+        elif np.count_nonzero(self.domain.gravity) != 1:
+            gravity = value_text(self.domain.gravity)
+            yield Problem(path, f"needs gravity along exactly one axis; domain.gravity = {gravity} m/s2", body.pressure)
+
+    def wrong_fields(self) -> Iterator[Problem]:
+        laws = [(LAWS[material.model], material.parameters) for material in self.materials.values()]
+        states = [field.name for law, parameters in laws for field in law.state_fields(parameters)]
+        known = list(dict.fromkeys((*FIELDS, *states)))
+        for index, name in enumerate(self.output.fields):
+            if name not in known:
+                near = known_text(name, known, "fields of this scene")
+                yield Problem(("output", "fields", index), f"is not a known field; {near}", name)
+
+
+def settle(part: Part, **values: Any) -> None:
+    """Fill in what a part leaves to the rest of the scene; parts are frozen for everyone else."""
+    for key, value in values.items():
+        object.__setattr__(part, key, value)

@@ -1,0 +1,234 @@
+"""Shapes that bodies are cut from: which points they hold, where they end. Dimension enters only at validation."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+
+from pmpm.scene.messages import TAG, Problem, Problems, known_text
+from pmpm.scene.part import Part
+from pmpm.scene.values import check_vector, check_word, number, tables, vector
+
+AXES = ("x", "y", "z")
+PLANNED_SHAPES = ("mesh", "terrain", "particles")
+
+Bounds = tuple[np.ndarray, np.ndarray]
+
+
+class Box(Part):
+    """An axis-parallel box (a rectangle in 2-D), boundary included."""
+
+    type: Literal["box"] = "box"
+    min: Annotated[tuple[float, ...], vector("m")] = Field(description="lower corner (m)")
+    max: Annotated[tuple[float, ...], vector("m")] = Field(description="upper corner (m)")
+
+    @model_validator(mode="after")
+    def check_corners(self) -> "Box":
+        if len(self.min) != len(self.max):
+            raise Problems(Problem(("max",), f"must have {len(self.min)} numbers like min", list(self.max)))
+        flat = [axis for axis in range(len(self.min)) if not self.min[axis] < self.max[axis]]
+        if flat:
+            raise Problems(*(Problem(("max", i), f"must be > min[{i}] = {self.min[i]} m", self.max[i]) for i in flat))
+        return self
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Say which of the points (n, dim), m, lie inside: bool (n,)."""
+        return np.all((points >= np.array(self.min)) & (points <= np.array(self.max)), axis=1)
+
+    def bounds(self) -> Bounds:
+        """Return the corners (low, high) of the surrounding box, (dim,) each, m."""
+        return np.array(self.min), np.array(self.max)
+
+    def misfits(self, dim: int) -> list[Problem]:
+        """List what does not fit a scene of `dim` dimensions."""
+        return wrong_length("min", self.min, dim) + wrong_length("max", self.max, dim)
+
+
+class Sphere(Part):
+    """A ball (a disk in 2-D), boundary included."""
+
+    type: Literal["sphere"] = "sphere"
+    center: Annotated[tuple[float, ...], vector("m")] = Field(description="centre (m)")
+    radius: Annotated[float, number("m", above=0.0)] = Field(description="radius (m)")
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Say which of the points (n, dim), m, lie inside: bool (n,)."""
+        # Measured in radii, so that neither tiny nor huge scenes leave the range of the numbers.
+        offset = (points - np.array(self.center)) / self.radius
+        return np.sum(offset * offset, axis=1) <= 1.0
+
+    def bounds(self) -> Bounds:
+        """Return the corners (low, high) of the surrounding box, (dim,) each, m."""
+        return np.array(self.center) - self.radius, np.array(self.center) + self.radius
+
+    def misfits(self, dim: int) -> list[Problem]:
+        """List what does not fit a scene of `dim` dimensions."""
+        return wrong_length("center", self.center, dim)
+
+
+def axis_vector(value: Any) -> Any:
+    """Turn the name of an axis into its direction; check a direction given by numbers."""
+    if isinstance(value, str):
+        check_word(value, AXES)
+        return tuple(float(value == axis) for axis in AXES)
+    direction = check_vector("-")(value)
+    if len(direction) != 3 or not any(direction):
+        raise Problems(Problem((), 'must be "x", "y", "z" or three numbers that are not all zero', value))
+    return direction
+
+
+class Cylinder(Part):
+    """A solid round cylinder about an axis, boundary included; 3-D only. `center` is the middle of its axis."""
+
+    type: Literal["cylinder"] = "cylinder"
+    center: Annotated[tuple[float, ...], vector("m")] = Field(description="middle of the cylinder (m)")
+    axis: Annotated[tuple[float, ...], BeforeValidator(axis_vector)] = Field(
+        description='direction of the axis: "x", "y", "z" or three numbers'
+    )
+    radius: Annotated[float, number("m", above=0.0)] = Field(description="radius (m)")
+    height: Annotated[float, number("m", above=0.0)] = Field(description="length along the axis (m)")
+
+    @model_validator(mode="after")
+    def check_center(self) -> "Cylinder":
+        if len(self.center) != 3:
+            raise Problems(Problem(("center",), "must have 3 numbers: a cylinder is 3-D only", list(self.center)))
+        return self
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Say which of the points (n, 3), m, lie inside: bool (n,)."""
+        offset = (points - np.array(self.center)) / self.radius
+        along = offset @ self.direction()
+        across = offset - along[:, None] * self.direction()
+        return (np.abs(along) <= 0.5 * self.height / self.radius) & (np.sum(across * across, axis=1) <= 1.0)
+
+    def bounds(self) -> Bounds:
+        """Return the corners (low, high) of the surrounding box, (3,) each, m."""
+        direction = self.direction()
+        reach = 0.5 * self.height * np.abs(direction) + self.radius * np.sqrt(np.maximum(1.0 - direction**2, 0.0))
+        return np.array(self.center) - reach, np.array(self.center) + reach
+
+    def direction(self) -> np.ndarray:
+        """Return the unit vector along the axis, (3,)."""
+        axis = np.array(self.axis) / np.max(np.abs(self.axis))
+        return axis / np.linalg.norm(axis)
+
+    def misfits(self, dim: int) -> list[Problem]:
+        """List what does not fit a scene of `dim` dimensions."""
+        return [] if dim == 3 else [Problem(("type",), "is 3-D only; in 2-D use sphere (a disk) or box", self.type)]
+
+
+class Union(Part):
+    """Everything that lies in at least one of the shapes."""
+
+    type: Literal["union"] = "union"
+    of: Annotated[tuple["Shape", ...], tables("shape")] = Field(description="list of shapes to join")
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Say which of the points (n, dim), m, lie inside: bool (n,)."""
+        return np.any([shape.contains(points) for shape in self.of], axis=0)
+
+    def bounds(self) -> Bounds:
+        """Return the corners (low, high) of the surrounding box, (dim,) each, m."""
+        lows, highs = zip(*(shape.bounds() for shape in self.of), strict=True)
+        return np.min(lows, axis=0), np.max(highs, axis=0)
+
+    def misfits(self, dim: int) -> list[Problem]:
+        """List what does not fit a scene of `dim` dimensions."""
+        return misfits_of(self.of, dim)
+
+
+class Difference(Part):
+    """The first shape without all that follow."""
+
+    type: Literal["difference"] = "difference"
+    of: Annotated[tuple["Shape", ...], tables("shape")] = Field(description="list: a shape, then shapes to take away")
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Say which of the points (n, dim), m, lie inside: bool (n,)."""
+        inside = self.of[0].contains(points)
+        for shape in self.of[1:]:
+            inside &= ~shape.contains(points)
+        return inside
+
+    def bounds(self) -> Bounds:
+        """Return the corners (low, high) of the box around the first shape, (dim,) each, m."""
+        return self.of[0].bounds()
+
+    def misfits(self, dim: int) -> list[Problem]:
+        """List what does not fit a scene of `dim` dimensions."""
+        return misfits_of(self.of, dim)
+
+
+class Intersection(Part):
+    """Everything that lies in all the shapes."""
+
+    type: Literal["intersection"] = "intersection"
+    of: Annotated[tuple["Shape", ...], tables("shape")] = Field(description="list of shapes that overlap")
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Say which of the points (n, dim), m, lie inside: bool (n,)."""
+        return np.all([shape.contains(points) for shape in self.of], axis=0)
+
+    def bounds(self) -> Bounds:
+        """Return the corners (low, high), (dim,) each, m, of what all boxes share; low >= high if nothing."""
+        lows, highs = zip(*(shape.bounds() for shape in self.of), strict=True)
+        return np.max(lows, axis=0), np.min(highs, axis=0)
+
+    def misfits(self, dim: int) -> list[Problem]:
+        """List what does not fit a scene of `dim` dimensions."""
+        problems = misfits_of(self.of, dim)
+        if problems:
+            return problems
+        low, high = self.bounds()
+        return [] if np.all(low < high) else [Problem(("of",), "is empty: these shapes do not all overlap")]
+
+
+SHAPES = {"box": Box, "sphere": Sphere, "cylinder": Cylinder}
+SHAPES |= {"union": Union, "difference": Difference, "intersection": Intersection}
+
+
+def check_shape(value: Any) -> Any:
+    """Complain about a shape without a type, or of a type that is unknown or not built yet."""
+    if isinstance(value, tuple(SHAPES.values())):
+        return value
+    if not isinstance(value, dict):
+        raise Problems(Problem((), f"must be a table with a type; {known_text('', SHAPES, 'known')}", value))
+    if "type" not in value:
+        raise Problems(Problem(("type",), f"is missing; {known_text('', SHAPES, 'known')}"))
+    check_word(value["type"], SHAPES, PLANNED_SHAPES, ("type",))
+    return value
+
+
+def shape_tag(value: Any) -> str:
+    return TAG + (value["type"] if isinstance(value, dict) else value.type)
+
+
+Shape = Annotated[
+    Annotated[Box, Tag(TAG + "box")]
+    | Annotated[Sphere, Tag(TAG + "sphere")]
+    | Annotated[Cylinder, Tag(TAG + "cylinder")]
+    | Annotated[Union, Tag(TAG + "union")]
+    | Annotated[Difference, Tag(TAG + "difference")]
+    | Annotated[Intersection, Tag(TAG + "intersection")],
+    Discriminator(shape_tag),
+    BeforeValidator(check_shape),
+]
+
+for compound in (Union, Difference, Intersection):
+    compound.model_rebuild()
+
+
+def wrong_length(key: str, value: tuple[float, ...], dim: int) -> list[Problem]:
+    """Complain where a vector does not have `dim` numbers."""
+    if len(value) == dim:
+        return []
+    return [Problem((key,), f"must have {dim} numbers like domain.size", list(value))]
+
+
+def misfits_of(shapes: tuple[Any, ...], dim: int) -> list[Problem]:
+    """List what does not fit in shapes within a shape, with their paths."""
+    return [
+        Problem(("of", index, *problem.path), problem.text, problem.value)
+        for index, shape in enumerate(shapes)
+        for problem in shape.misfits(dim)
+    ]

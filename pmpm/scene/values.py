@@ -1,0 +1,184 @@
+"""The kinds of values a scene key can take; each checks type, finiteness and range before anything is allocated."""
+
+import math
+from collections.abc import Callable, Collection
+from typing import Any
+
+from pydantic import BeforeValidator
+
+from pmpm.scene.messages import Problem, Problems, known_text
+
+Check = Callable[[Any], Any]
+
+
+def number(unit: str = "-", only: float | None = None, **bounds: float | None) -> BeforeValidator:
+    """Accept one finite number within `bounds` (above, at_least, below, at_most); only `only` is built, if given."""
+    return BeforeValidator(check_number(unit, only, **bounds))
+
+
+def vector(unit: str = "-", **bounds: float | None) -> BeforeValidator:
+    """Accept two or three finite numbers, each within `bounds`."""
+    return BeforeValidator(check_vector(unit, **bounds))
+
+
+def check_number(unit: str, only: float | None = None, **bounds: float | None) -> Check:
+    allowed = range_text(unit, **bounds)
+
+    def check(value: Any) -> Any:
+        value = plain(value)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise Problems(Problem((), f"must be a number{allowed}", value))
+        if not finite(value):
+            raise Problems(Problem((), f"must be a finite number{allowed}", value))
+        if not within(value, **bounds):
+            raise Problems(Problem((), f"must be a number{allowed}", value))
+        if only is not None and value != only:
+            raise Problems(Problem((), f"{unit_text(unit)}is not built yet; only {only:g} is", value, built=False))
+        return float(value)
+
+    return check
+
+
+def check_vector(unit: str, **bounds: float | None) -> Check:
+    check_one = check_number(unit, None, **bounds)
+
+    def check(value: Any) -> Any:
+        value = plain(value)
+        if not isinstance(value, list | tuple) or len(value) not in (2, 3):
+            raise Problems(Problem((), f"must be a list of two or three numbers{range_text(unit, **bounds)}", value))
+        numbers, problems = [], []
+        for index, item in enumerate(value):
+            try:
+                numbers.append(check_one(item))
+            except Problems as error:
+                problems += [
+                    Problem((index,), problem.text, problem.value, problem.built) for problem in error.problems
+                ]
+        if problems:
+            raise Problems(*problems)
+        return tuple(numbers)
+
+    return check
+
+
+def whole(at_least: int, at_most: int) -> BeforeValidator:
+    """Accept one whole number in a closed range."""
+
+    def check(value: Any) -> Any:
+        value = plain(value)
+        if isinstance(value, bool) or not isinstance(value, int) or not at_least <= value <= at_most:
+            raise Problems(Problem((), f"must be a whole number from {at_least} to {at_most}", value))
+        return value
+
+    return BeforeValidator(check)
+
+
+def choice(built: Collection[str], planned: Collection[str] = ()) -> BeforeValidator:
+    """Accept one of the `built` words; those `planned` are known but not built yet."""
+
+    def check(value: Any) -> Any:
+        check_word(plain(value), built, planned)
+        return value
+
+    return BeforeValidator(check)
+
+
+def check_word(value: Any, built: Collection[str], planned: Collection[str] = (), path: tuple = ()) -> None:
+    """Raise Problems unless `value` is one of the `built` words."""
+    if isinstance(value, str) and value in built:
+        return
+    if isinstance(value, str) and value in planned:
+        raise Problems(Problem(path, f"is not built yet; {known_text('', built, 'built so far')}", value, built=False))
+    raise Problems(Problem(path, f"is not known; {known_text(value, built, 'known are')}", value))
+
+
+def names() -> BeforeValidator:
+    """Accept a list of words without repetition."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, list | tuple) or not all(isinstance(item, str) for item in value):
+            raise Problems(Problem((), "must be a list of names in quotes", value))
+        twice = [index for index, item in enumerate(value) if item in value[:index]]
+        if twice:
+            raise Problems(*(Problem((index,), "is named twice", value[index]) for index in twice))
+        return tuple(value)
+
+    return BeforeValidator(check)
+
+
+def flag() -> BeforeValidator:
+    """Accept true or false."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(plain(value), bool):
+            raise Problems(Problem((), "must be true or false", value))
+        return bool(value)
+
+    return BeforeValidator(check)
+
+
+def text() -> BeforeValidator:
+    """Accept a string."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, str):
+            raise Problems(Problem((), "must be a text in quotes", value))
+        return value
+
+    return BeforeValidator(check)
+
+
+def tables(singular: str) -> BeforeValidator:
+    """Accept a list with at least one entry."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, list | tuple):
+            raise Problems(Problem((), f"must be a list with one table for each {singular}", value))
+        if not value:
+            raise Problems(Problem((), f"must have at least one {singular}", value))
+        return list(value)
+
+    return BeforeValidator(check)
+
+
+def plain(value: Any) -> Any:
+    """Turn numpy scalars and arrays into Python's numbers and lists; refuse functions, which are not built yet."""
+    if callable(value):
+        raise Problems(Problem((), "as a Python function is not built yet; give numbers", value, built=False))
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def finite(value: int | float) -> bool:
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
+
+
+def within(
+    value: float,
+    above: float | None = None,
+    at_least: float | None = None,
+    below: float | None = None,
+    at_most: float | None = None,
+) -> bool:
+    """Say whether `value` lies within the bounds; None stands for no bound."""
+    return (
+        (above is None or value > above)
+        and (at_least is None or value >= at_least)
+        and (below is None or value < below)
+        and (at_most is None or value <= at_most)
+    )
+
+
+def range_text(unit: str, **bounds: float | None) -> str:
+    """Write bounds and unit: ` > 0 and <= 1`, ` > 0 m`, ` in m/s2`, or nothing."""
+    signs = {"above": ">", "at_least": ">=", "below": "<", "at_most": "<="}
+    limits = [f"{sign} {bounds[name]:g}" for name, sign in signs.items() if bounds.get(name) is not None]
+    if limits:
+        return f" {' and '.join(limits)} {unit_text(unit)}".rstrip()
+    return f" in {unit}" if unit != "-" else ""
+
+
+def unit_text(unit: str) -> str:
+    return "" if unit == "-" else f"{unit} "

@@ -1,0 +1,220 @@
+"""Scenes with one mistake each and what the message must contain: (name, TOML text, fragments)."""
+
+GOOD = """
+title = "good"
+[domain]
+size = [0.6, 0.2]
+cell_size = 0.0025
+gravity = [0.0, -9.81]
+walls = { x_min = "slip", y_min = "stick", y_max = "free", x_max = { type = "friction", coefficient = 0.4 } }
+[method]
+transfer = "apic"
+[time]
+end = 1.0
+[materials.sand]
+model = "drucker_prager"
+density = 2650.0
+youngs_modulus = 8.4e5
+poisson_ratio = 0.3
+friction_angle = 30.0
+[materials.water]
+model = "fluid"
+density = 1000.0
+sound_speed = 15.0
+[[bodies]]
+material = "sand"
+shape = { type = "box", min = [0.0, 0.0], max = [0.1, 0.1] }
+velocity = [0.0, 0.0]
+[[bodies]]
+material = "water"
+shape = { type = "sphere", center = [0.3, 0.1], radius = 0.05 }
+particles_per_cell = 4
+pressure = "hydrostatic"
+[output]
+snapshot_interval = 0.02
+"""
+
+GOOD_3D = """
+[domain]
+size = [0.3, 0.3, 0.1]
+cell_size = 0.005
+gravity = [0.0, 0.0, -9.81]
+[time]
+end = 0.4
+[materials.block]
+model = "neo_hookean"
+density = 1000.0
+youngs_modulus = 1e4
+poisson_ratio = 0.3
+[[bodies]]
+material = "block"
+shape = { type = "cylinder", center = [0.15, 0.15, 0.05], axis = "z", radius = 0.05, height = 0.05 }
+"""
+
+
+def change(old, new, text=GOOD):
+    """Return a good scene with one piece of text replaced."""
+    assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in the scene"
+    return text.replace(old, new)
+
+
+def solid(old, new):
+    return change(old, new, GOOD_3D)
+
+
+BOX = '{ type = "box", min = [0.0, 0.0], max = [0.1, 0.1] }'
+DISK = '{ type = "sphere", center = [0.3, 0.1], radius = 0.05 }'
+CYLINDER = '{ type = "cylinder", center = [0.15, 0.15, 0.05], axis = "z", radius = 0.05, height = 0.05 }'
+DENSITY = "density = 2650.0"
+END = "end = 1.0"
+SIZE, CELL, GRAVITY = "size = [0.6, 0.2]", "cell_size = 0.0025", "gravity = [0.0, -9.81]"
+SOUND = "sound_speed = 15.0"
+ANGLE = "friction_angle = 30.0"
+SNAPSHOT = "snapshot_interval = 0.02"
+COUNT = "particles_per_cell = 4"
+
+BROKEN = [
+    ("no TOML at all", "time = = 3", ["not valid TOML", "line 1"]),
+    ("unclosed list", change(SIZE, "size = [0.6, 0.2"), ["not valid TOML", "line 5"]),
+    ("key given twice", change(END, "end = 1.0\nend = 2.0"), ["not valid TOML", "line 12"]),
+    ("empty file", "", ["domain is missing", "time is missing", "materials is missing", "bodies is missing"]),
+    ("unknown table", change("[output]", "[outputs]"), ["outputs is not a known key", "did you mean output?"]),
+    ("unknown key in domain", change("cell_size", "cell_sise"), ["domain.cell_sise", "did you mean cell_size?"]),
+    ("unknown key in time", change(END, "end = 1.0\nclf = 0.4"), ["time.clf", "did you mean cfl?"]),
+    ("unknown key in body", change("velocity =", "velocty ="), ["bodies[0].velocty", "did you mean velocity?"]),
+    ("unknown key in box", change("max = [0.1, 0.1]", "maximum = [0.1, 0.1]"), ["bodies[0].shape.maximum", "max?"]),
+    (
+        "unknown key in law",
+        change(ANGLE, "friction_angel = 30.0"),
+        ["materials.sand.friction_angel", "friction_angle?"],
+    ),
+    ("unknown key in output", change(SNAPSHOT, "snapshot_intervall = 1.0"), ["output.snapshot_intervall", "interval?"]),
+    ("key of another law", change(SOUND, SOUND + "\nyoungs_modulus = 1.0"), ["materials.water.youngs_modulus"]),
+    ("missing end", change(END, ""), ["time.end is missing", "(s)"]),
+    ("missing cell size", change(CELL, ""), ["domain.cell_size is missing", "(m)"]),
+    ("missing density", change(DENSITY, ""), ["materials.sand.density is missing", "kg/m3"]),
+    ("missing radius", change(", radius = 0.05", ""), ["bodies[1].shape.radius is missing", "(m)"]),
+    ("missing model", change('model = "fluid"', ""), ["materials.water.model is missing", "drucker_prager"]),
+    ("missing type", change('type = "box", ', ""), ["bodies[0].shape.type is missing", "sphere"]),
+    ("missing friction", change(", coefficient = 0.4", ""), ["domain.walls.x_max", "must give the coefficient"]),
+    ("empty bodies", GOOD_3D[: GOOD_3D.index("[[bodies]]")].replace("[domain]", "bodies = []\n[domain]"), ["one body"]),
+    (
+        "bodies as a table",
+        solid("[[bodies]]", "[bodies]"),
+        ["bodies = {", "must be a list with one table for each body"],
+    ),
+    ("no materials", solid("[materials.block]", "[materials]\n[ignored]"), ["ignored is not a known key"]),
+    ("material as a number", solid("[domain]", "materials.air = 1.2\n[domain]"), ["materials.air = 1.2", "a table"]),
+    (
+        "domain as a number",
+        "domain = 3\n" + GOOD_3D[GOOD_3D.index("[time]") :],
+        ["domain = 3 must be a table", "cell_size"],
+    ),
+    ("negative cell size", change(CELL, "cell_size = -0.0025"), ["domain.cell_size = -0.0025", "> 0 m"]),
+    ("zero cell size", change(CELL, "cell_size = 0"), ["domain.cell_size = 0 ", "> 0 m"]),
+    ("cell size as text", change(CELL, 'cell_size = "0.0025"'), ['domain.cell_size = "0.0025" must be a number']),
+    ("cell size as a list", change(CELL, "cell_size = [0.1, 0.1]"), ["domain.cell_size = [0.1, 0.1] must be a number"]),
+    ("cell larger than domain", change(CELL, "cell_size = 0.4"), ["domain.cell_size = 0.4", "size[1] = 0.2 m"]),
+    ("broken cells", change(SIZE, "size = [0.601, 0.2]"), ["domain.size[0] = 0.601", "0.6 m (240", "0.6025 m (241"]),
+    ("tiny cells", change(CELL, "cell_size = 1e-300"), ["domain.cell_size = 1e-300", "too small", "2147483648 cells"]),
+    ("too many in a plane", solid("cell_size = 0.005", "cell_size = 1e-7"), ["cell_size = 1e-07", "in a plane"]),
+    ("one number of size", change(SIZE, "size = [0.6]"), ["domain.size = [0.6]", "two or three numbers"]),
+    ("size as a number", change(SIZE, "size = 0.6"), ["domain.size = 0.6", "two or three numbers"]),
+    ("negative size", change(SIZE, "size = [0.6, -0.2]"), ["domain.size[1] = -0.2", "> 0 m"]),
+    ("gravity in 3-D", change(GRAVITY, "gravity = [0, 0, -9.81]"), ["domain.gravity = [0.0, 0.0, -9.81]", "2 numbers"]),
+    ("gravity nan", change(GRAVITY, "gravity = [0.0, nan]"), ["domain.gravity[1] = nan", "finite number in m/s2"]),
+    ("gravity true", change(GRAVITY, "gravity = [true, 0]"), ["domain.gravity[0] = true", "must be a number"]),
+    ("unknown wall", change('x_min = "slip"', 'x_min = "slipp"'), ['walls.x_min = "slipp"', "did you mean slip?"]),
+    ("unknown wall in a table", change('type = "friction"', 'type = "rough"'), ['walls.x_max.type = "rough"', "stick"]),
+    ("unknown face", change("y_max", "z_max"), ["domain.walls.z_max", "faces: x_min, x_max, y_min, y_max"]),
+    ("negative friction", change("coefficient = 0.4", "coefficient = -0.4"), ["x_max.coefficient = -0.4", ">= 0"]),
+    ("friction of a slip wall", change('type = "friction"', 'type = "slip"'), ["coefficient = 0.4", "friction wall"]),
+    ("wall as a number", change('x_min = "slip"', "x_min = 3"), ["domain.walls.x_min = 3 must be a table"]),
+    ("walls as a text", solid("[time]", 'walls = "slip"\n[time]'), ['domain.walls = "slip"', "x_min"]),
+    ("unknown axis", change(SIZE, SIZE + '\nperiodic = ["z"]'), ['domain.periodic[0] = "z"', "2-D", "x, y"]),
+    ("axis twice", solid("[time]", 'periodic = ["x", "x"]\n[time]'), ['domain.periodic[1] = "x" is named twice']),
+    ("wall on a periodic axis", change(SIZE, SIZE + '\nperiodic = ["x"]'), ["domain.walls.x_min", "periodic along x"]),
+    ("periodic as text", change(SIZE, SIZE + '\nperiodic = "x"'), ['domain.periodic = "x"', "list of names"]),
+    ("end zero", change(END, "end = 0.0"), ["time.end = 0.0", "> 0 s"]),
+    ("end infinite", change(END, "end = inf"), ["time.end = inf", "finite number > 0 s"]),
+    ("end as a date", change(END, "end = 2024-01-01"), ["time.end = ", "must be a number > 0 s"]),
+    ("end too long", change(END, "end = 1" + "0" * 400), ["time.end", "finite number > 0 s"]),
+    ("cfl above one", change(END, "end = 1.0\ncfl = 1.5"), ["time.cfl = 1.5", "> 0 and <= 1"]),
+    ("negative step", change(END, "end = 1.0\nstep = -1e-5"), ["time.step = -1e-05", "> 0 s"]),
+    ("step and cfl", change(END, "end = 1.0\nstep = 1e-5\ncfl = 0.3"), ["time.step = 1e-05", "cfl = 0.3", "one"]),
+    ("unknown transfer", change('"apic"', '"apicc"'), ['method.transfer = "apicc"', "did you mean apic?"]),
+    ("precision", change('"apic"', '"apic"\nprecision = "double"'), ['method.precision = "double"', "float64"]),
+    ("integrator", change('"apic"', '"apic"\nintegrator = "implicit"'), ['method.integrator = "implicit"', "explicit"]),
+    ("unknown model", change('"fluid"', '"flude"'), ['materials.water.model = "flude"', "did you mean fluid?"]),
+    ("poisson half", change("ratio = 0.3", "ratio = 0.5"), ["materials.sand.poisson_ratio = 0.5", "> -1 and < 0.5"]),
+    ("poisson below", change("ratio = 0.3", "ratio = -1.5"), ["materials.sand.poisson_ratio = -1.5", "> -1 and < 0.5"]),
+    ("no stiffness", change("modulus = 8.4e5", "modulus = 0"), ["materials.sand.youngs_modulus = 0 ", "> 0 Pa"]),
+    ("no density", change(DENSITY, "density = 0.0"), ["materials.sand.density = 0.0", "> 0 kg/m3"]),
+    ("steep friction", change(ANGLE, "friction_angle = 90.0"), ["sand.friction_angle = 90.0", ">= 0 and < 90 deg"]),
+    ("friction fit", change(ANGLE, ANGLE + '\nfriction_fit = "plane"'), ['friction_fit = "plane"', "plane_strain?"]),
+    ("flag as a number", change(ANGLE, ANGLE + "\nvolume_correction = 1"), ["volume_correction = 1", "true or false"]),
+    ("no stiffness of fluid", change(SOUND, ""), ["materials.water", "exactly one of sound_speed"]),
+    ("two of fluid", change(SOUND, SOUND + "\nbulk_modulus = 1e5"), ["materials.water", "exactly one of sound_speed"]),
+    ("unknown material", change('material = "sand"', 'material = "sind"'), ['bodies[0].material = "sind"', "sand?"]),
+    ("material by number", change('material = "sand"', "material = 0"), ["bodies[0].material = 0", "in quotes"]),
+    ("unknown shape", change('"box"', '"bocks"'), ['bodies[0].shape.type = "bocks"', "did you mean box?"]),
+    ("shape as text", change(BOX, '"box"'), ['bodies[0].shape = "box"', "must be a table with a type"]),
+    ("negative radius", change("radius = 0.05", "radius = -0.05"), ["bodies[1].shape.radius = -0.05", "> 0 m"]),
+    ("empty box", change("max = [0.1, 0.1]", "max = [0.0, 0.1]"), ["bodies[0].shape.max[0] = 0.0", "> min[0] = 0.0 m"]),
+    ("box of 3 in 2-D", change(BOX, BOX.replace("]", ", 0.0]", 1)), ["bodies[0].shape.max", "3 numbers like min"]),
+    ("3-D disk in 2-D", change("[0.3, 0.1]", "[0.3, 0.1, 0.0]"), ["bodies[1].shape.center", "2 numbers"]),
+    ("cylinder in 2-D", change(DISK, CYLINDER), ['bodies[1].shape.type = "cylinder"', "3-D only"]),
+    ("axis", solid('axis = "z"', 'axis = "w"'), ['bodies[0].shape.axis = "w"', "x, y, z"]),
+    ("axis zero", solid('axis = "z"', "axis = [0, 0, 0]"), ["bodies[0].shape.axis = [0, 0, 0]", "not all zero"]),
+    ("nothing to join", change(BOX, '{ type = "union", of = [] }'), ["bodies[0].shape.of", "at least one shape"]),
+    ("mistake within", change(DISK, f'{{ type = "union", of = [{DISK[:-6]}0 }}] }}'), ["bodies[1].shape.of[0].radius"]),
+    (
+        "no overlap",
+        change(
+            BOX, f'{{ type = "intersection", of = [{BOX}, {{ type = "box", min = [0.2, 0.0], max = [0.3, 0.1] }}] }}'
+        ),
+        ["bodies[0].shape.of is empty"],
+    ),
+    ("outside", change("[0.3, 0.1]", "[0.3, 0.16]"), ["bodies[1].shape", "0.11 to 0.21 m along y", "0 to 0.2 m"]),
+    ("no particles", change(COUNT, "particles_per_cell = 0"), ["bodies[1].particles_per_cell = 0", "from 1 to 4096"]),
+    ("many particles", change(COUNT, "particles_per_cell = 4097"), ["particles_per_cell = 4097", "from 1 to 4096"]),
+    ("broken particles", change(COUNT, "particles_per_cell = 4.5"), ["particles_per_cell = 4.5", "whole number"]),
+    ("true particles", change(COUNT, "particles_per_cell = true"), ["particles_per_cell = true", "whole number"]),
+    ("velocity in 3-D", change("velocity = [0.0, 0.0]", "velocity = [0, 0, 0]"), ["bodies[0].velocity", "2 numbers"]),
+    ("pressure of sand", change("velocity = [0.0, 0.0]", 'pressure = "hydrostatic"'), ["bodies[0].pressure", "fluid"]),
+    ("pressure without gravity", change(GRAVITY, ""), ['bodies[1].pressure = "hydrostatic"', "needs gravity"]),
+    ("oblique gravity", change(GRAVITY, "gravity = [1.0, -9.81]"), ["bodies[1].pressure", "[1.0, -9.81] m/s2"]),
+    ("unknown pressure", change('"hydrostatic"', '"static"'), ['bodies[1].pressure = "static"', "hydrostatic?"]),
+    ("interval zero", change(SNAPSHOT, "snapshot_interval = 0"), ["output.snapshot_interval = 0 ", "> 0 s"]),
+    (
+        "unknown field",
+        change(SNAPSHOT, 'fields = ["velocity", "presure"]'),
+        ['output.fields[1] = "presure"', "pressure?"],
+    ),
+    ("field twice", change(SNAPSHOT, 'fields = ["J", "J"]'), ['output.fields[1] = "J"', "twice"]),
+    ("state of another law", solid("[time]", '[output]\nfields = ["v_c"]\n[time]'), ['output.fields[0] = "v_c"']),
+    ("title as number", change('title = "good"', "title = 3"), ["title = 3", "text in quotes"]),
+]
+
+NOT_BUILT = [
+    ("pic", change('"apic"', '"pic"'), ['method.transfer = "pic" is not built yet', "apic, mls"]),
+    ("flip", change('"apic"', '"flip"'), ['method.transfer = "flip" is not built yet']),
+    ("flip blend", change('"apic"', '"apic"\nflip_blend = 0.99'), ["method.flip_blend = 0.99 is not built yet"]),
+    (
+        "linear",
+        change('"apic"', '"apic"\nshape_function = "linear"'),
+        ['method.shape_function = "linear" is not built yet'],
+    ),
+    ("open wall", change('x_min = "slip"', 'x_min = "open"'), ['domain.walls.x_min = "open" is not built yet']),
+    ("snow", change('"fluid"', '"snow"'), ['materials.water.model = "snow" is not built yet']),
+    ("cohesion", change(ANGLE, ANGLE + "\ncohesion = 5.0"), ["materials.sand.cohesion = 5.0 Pa is not built yet"]),
+    ("viscosity", change(SOUND, SOUND + "\nviscosity = 1e-3"), ["materials.water.viscosity = 0.001 Pa s is not built"]),
+    ("mesh", change('"box"', '"mesh"'), ['bodies[0].shape.type = "mesh" is not built yet']),
+    ("colliders", GOOD + '[[colliders]]\ntype = "plane"\n', ["colliders = ", "is not built yet"]),
+    (
+        "checkpoints",
+        change(SNAPSHOT, "checkpoint_interval = 0.2"),
+        ["output.checkpoint_interval = 0.2 is not built yet"],
+    ),
+]
+BROKEN += NOT_BUILT
