@@ -51,8 +51,7 @@ class RunDirectory:
         hosts = comm.gather(socket.gethostname())
 
         def prepare():
-            place = Path(os.path.abspath(path))
-            check(place, overwrite)
+            place = check_new(path, overwrite)
             place.mkdir(parents=True, exist_ok=True)
             lock = take_lock(place)
             try:
@@ -111,13 +110,14 @@ def check_new(path, overwrite):
     check(Path(os.path.abspath(path)), overwrite)
 
 
-def check(place, overwrite):
-    """Raise OutputError if a new run may not be written to the folder `place`; changes nothing."""
+def check_new(path, overwrite):
+    """The absolute path of the folder `path`; OutputError if a new run may not be written there. Changes nothing."""
+    place = Path(os.path.abspath(path))
     if place.exists() and not place.is_dir():
         raise OutputError(f"{place} is a file, not a folder: give another output folder (--out DIR)")
     check_writable(place)
     if not place.exists():
-        return
+        return place
     check_unlocked(place)
     record = read_record(place)
     if record is None:
@@ -139,6 +139,7 @@ def check(place, overwrite):
             "it, is not built yet; give another output folder (--out DIR), or --overwrite to start anew "
             "(overwrite=True in Python)"
         )
+    return place
 
 
 def check_writable(place):

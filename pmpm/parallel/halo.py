@@ -17,7 +17,7 @@ class Halo:
         self.targets = plane_of_layer.astype(np.int64)
         self.sends, self.receives, self.as_earlier, self.as_later = [], [], [], []
         self.low_shared = self.high_shared = False
-        slots = []
+        slots: list[int] = []
         for number, cut in enumerate(slabs.cuts):
             sums_tag, unsummed_tag = 2 * number, 2 * number + 1
             shape = patch.nodes.shape[1:]

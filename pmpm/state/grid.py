@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmpm.kernels.needs import Stencil
+
 WINDOW_BYTES = 1 << 20  # of scratch planes that P2G keeps at a time: about what a core's own cache holds
 
 
@@ -15,7 +17,7 @@ class Geometry:
     periodic: tuple[bool, ...]
     cell_size: float
     axes: tuple[int, int, int]
-    stencil: object
+    stencil: Stencil
 
     @property
     def dim(self):
