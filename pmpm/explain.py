@@ -86,7 +86,7 @@ def material_lines():
     """Text of `pmpm materials`."""
     lines = []
     for name, law in LAWS.items():
-        lines += [f"{name}: {law.__doc__.strip().splitlines()[0]}", f"    source: {law.SOURCE}"]
+        lines += [f"{name}: {(law.__doc__ or '').strip().splitlines()[0]}", f"    source: {law.SOURCE}"]
         lines += [f"    {key.name:20s} {key.unit:6s} {key.meaning}{default_text(key)}" for key in law.KEYS]
         kept = ", ".join(f"{field.name} ({field.meaning})" for field in law.STATE)
         lines += [f"    a particle keeps: {kept}", ""]

@@ -33,8 +33,8 @@ from pmpm.state.particles import Cloud, Population
 from pmpm.timestep import StepControl
 
 
-class NumericalFailure(Exception):
-    """The run stopped for a physical or numerical cause; the text names step, time, rank, particle, position, material."""
+class NumericalFailure(Exception):  # noqa: N818
+    """The run stopped for a numerical cause; the text names step, time, rank, particle, position and material."""
 
 
 @dataclass
@@ -49,6 +49,7 @@ class Observer:
     def due(self, simulation):
         if self.steps is not None:
             return simulation.step_count % self.steps == 0
+        assert self.seconds is not None
         if simulation.time < self.count * self.seconds:
             return False
         self.count = math.floor(simulation.time / self.seconds) + 1
@@ -452,7 +453,7 @@ class Simulation:
             top = max(top, float(derived.speed().max(initial=0.0)))
         names = list(per_layer)
         summed = self.comm.sum(np.stack([per_layer[name] for name in names]))
-        found = {"particles": int(self.comm.sum(np.array([self.rows()]))[0])}
+        found: dict[str, float] = {"particles": int(self.comm.sum(np.array([self.rows()]))[0])}
         found |= {name: math.fsum(row) for name, row in zip(names, summed, strict=True)}
         if self.first_energy is not None:
             found["dissipated"] = self.first_energy - self.total_energy(found)

@@ -8,6 +8,7 @@ step waits for it; what a particle may move meanwhile is covered by the padding.
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +24,8 @@ class Pending:
 
     step: int
     travel: float
-    handle: object = None
-    values: object = None
+    handle: Any = None
+    values: Any = None
 
 
 class StepControl:

@@ -106,11 +106,6 @@ class RunDirectory:
 
 
 def check_new(path, overwrite):
-    """Raise OutputError if a new run may not be written to the folder `path`; changes nothing. Rank 0 asks."""
-    check(Path(os.path.abspath(path)), overwrite)
-
-
-def check_new(path, overwrite):
     """The absolute path of the folder `path`; OutputError if a new run may not be written there. Changes nothing."""
     place = Path(os.path.abspath(path))
     if place.exists() and not place.is_dir():

@@ -41,7 +41,8 @@ def check_axes(geometry):
 
 def law_table(scene, law):
     """(bodies, 3 + parameters) float64: mass, volume0, density and the law's parameters of each body of this law."""
-    dim, rows = scene.dim, []
+    dim = scene.dim
+    rows: list[list[float] | None] = []
     volume = scene.domain.cell_size**dim
     for body in scene.bodies:
         material = scene.materials[body.material]
