@@ -96,11 +96,11 @@ class Simulation:
         self.cut(cut_evenly(self.count_seeds(), self.comm.size, self.needs.stencil.window))
         seeds = seeding.seed(self.scene, self.geometry, self.first_layer, self.last_layer)
         self.settle_in([self.cloud(law, seeds) for law in range(len(self.needs.laws))])
-        self.warm_up()
         settled_drift = max(self.needs.stencil.round, 1.0 - self.needs.stencil.round)
         self.control = StepControl(self.comm, scene.time, scene.domain.cell_size, self.dim, cpu.FARTHEST, settled_drift)
         self.control.begin(*self.fastest())
         self.check_fixed_step(SceneError)
+        self.warm_up()
         self.first_energy = None
         self.first_energy = self.total_energy(self.measure())
 
