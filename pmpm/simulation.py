@@ -86,8 +86,9 @@ class Simulation:
         self.kernel_tables = [table.astype(self.real) for table in self.tables]
         self.gravity = np.array(scene.domain.gravity)
         self.limits, self.edges = domain_limits(scene, self.geometry, self.real)
-        self.time, self.step_count, self.dt = 0.0, 0, 0.0
+        self.time, self.step_count = 0.0, 0
         self.observers: list[Observer] = []
+        self.failed: list[tuple[int, int, int, int]] = []  # (law, block, lane, cause) in this step, first of each range
         self.failure: dict | None = None
         self.regroups, self.sent = 0, np.zeros(self.comm.size, np.int64)
         self.timers = Timers()
@@ -100,6 +101,7 @@ class Simulation:
         self.control = StepControl(self.comm, scene.time, scene.domain.cell_size, self.dim, cpu.FARTHEST, settled_drift)
         self.control.begin(*self.fastest())
         self.check_fixed_step(SceneError)
+        self.dt = self.control.choose(self.time)  # of the step just taken; before the first, of the one to come
         self.warm_up()
         self.first_energy = None
         self.first_energy = self.total_energy(self.measure())
@@ -227,6 +229,7 @@ class Simulation:
         now = clock.perf_counter()
         extremes = np.zeros(4)
         extremes[3] = -math.inf
+        self.failed.clear()
         self.patch.nodes[:] = 0
         self.halo.clear()
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
@@ -253,6 +256,8 @@ class Simulation:
         self.update_planes(max(planes - high, 0), planes, dt)
         self.g2p(0, min(inner[0], layers), dt, extremes)
         self.g2p(inner[1], layers, dt, extremes)
+        if self.failed and self.failure is None:
+            self.failure = self.describe_failure(*min(self.failed))
         if self.failure is not None:
             extremes[3] = -self.failure["step"]
         self.control.start(self.step_count + 1, float(dt), extremes)
@@ -298,18 +303,21 @@ class Simulation:
                 self.patch.nodes, self.first_layer, self.limits, self.edges, dt, dx, inv_dx, failure,
             )  # fmt: skip
             np.maximum(extremes[:3], found, out=extremes[:3])
-            if failure[0] and self.failure is None:
-                self.failure = self.describe_failure(number, *failure)
+            if failure[0]:
+                cause, block, lane = map(int, failure)
+                self.failed.append((number, block, lane, cause))
 
     def regroup(self, edges=None):
         """Migration, sorting and new cuts (if `edges` are given) in one event: every particle joins the layer it lies in.
 
-        Results do not depend on the cuts.
+        Results do not depend on the cuts. Raises ValueError, and changes nothing, for edges that are no slabs of all ranks.
         """
         began = clock.perf_counter()
+        if edges is not None and len(edges) != self.comm.size + 1:
+            raise ValueError(f"edges {edges}: {self.comm.size} ranks need {self.comm.size + 1} of them")
         clouds = [settle(population.unpack(self.geometry.axes), self.geometry) for population in self.populations]
         if edges is not None:
-            self.cut(edges)
+            self.cut(tuple(map(int, edges)))
         clouds, sent = migrate(clouds, self.geometry.axes[0], self.slabs, self.comm)
         self.settle_in(clouds)
         self.control.regrouped(self.step_count)
@@ -354,8 +362,8 @@ class Simulation:
         if failed is not None:
             self.stop(failed)
 
-    def describe_failure(self, law, cause, block, lane):
-        """What there is to say about the first particle that failed here."""
+    def describe_failure(self, law, block, lane, cause):
+        """What there is to say about the first particle that failed here, first in the one global order of its law."""
         population, layout = self.populations[law], self.layouts[law]
         index = int(np.flatnonzero(population.lanes.ravel()).searchsorted(block * population.lanes.shape[1] + lane))
         x = self.derived_of(law, np.float64).x()[index]
@@ -367,18 +375,22 @@ class Simulation:
             "step": self.step_count + 1,
             "time": self.time,
             "rank": self.comm.rank,
+            "law": law,
             "id": int(population.id[block, lane]),
             "position": [float(value) for value in x],
             "material": self.scene.bodies[body].material,
             "velocity": [float(value) for value in population.reals[block, layout.where("v"), lane]],
-            "cause": int(cause),
+            "cause": cause,
             "state": ", ".join(f"{name} = {np.array2string(value, precision=4)}" for name, value in state.items()),
         }
 
     def stop(self, failed_step):
-        """Agree on which particle failed first and raise NumericalFailure on all ranks."""
+        """Raise NumericalFailure on all ranks, naming the particle that is first by law and then in the one global order.
+
+        Ranks hold consecutive pieces of that order and `min` takes the first of equals: any rank count names the same.
+        """
         records = [r for r in self.comm.gather(self.failure) if r is not None and r["step"] == failed_step]
-        raise NumericalFailure(failure_message(min(records, key=lambda record: record["id"])))
+        raise NumericalFailure(failure_message(min(records, key=lambda record: record["law"])))
 
     # ---- what users see ----
 
@@ -520,6 +532,8 @@ class Particles:
         if name not in simulation_fields(simulation) or (name in self.READ_ONLY and not writable(simulation, name)):
             raise AttributeError(f"particles.{name} cannot be assigned")
         values = np.asarray(values).reshape(simulation.rows(), -1)
+        if name == "x":
+            self.check_inside(values)
         in_order = np.empty_like(values)
         in_order[simulation.order()] = values
         first = 0
@@ -533,6 +547,18 @@ class Particles:
                 population.set_rows(layout.where(name), rows)
         if name == "x":
             simulation.regroup()
+
+    def check_inside(self, x):
+        """Raise ValueError, on all ranks, if any rank's positions (n, dim) in m are not numbers or beyond the walls."""
+        comm, geometry = self.simulation.comm, self.simulation.geometry
+        nearest = np.floor(x / geometry.cell_size + geometry.stencil.round)
+        inside = np.isfinite(x)
+        for axis in range(geometry.dim):
+            if not geometry.periodic[axis]:
+                inside[:, axis] &= (nearest[:, axis] >= 0) & (nearest[:, axis] < geometry.homes(axis))
+        outside = int(comm.sum(np.array([np.count_nonzero(~inside.all(axis=1))]))[0])
+        if outside:
+            raise ValueError(f"particles.x: {outside} of the new positions are not inside the domain")
 
 
 def writable(simulation, name):

@@ -6,6 +6,7 @@ it has. A message is addressed by peer and tag; a message to oneself is legal (a
 
 import os
 import sys
+from typing import ClassVar
 
 import numpy as np
 
@@ -73,6 +74,8 @@ class Alone:
 class World:
     """The same verbs over an mpi4py communicator."""
 
+    on_the_way: ClassVar[list] = []
+
     def __init__(self, communicator):
         from mpi4py import MPI
 
@@ -90,8 +93,12 @@ class World:
         return result
 
     def start_max(self, values):
-        result = np.empty_like(values)
-        return [self.communicator.Iallreduce(values.copy(), result, self.mpi.MAX)], result
+        values, result = values.copy(), np.empty_like(values)
+        request = self.communicator.Iallreduce(values, result, self.mpi.MAX)
+        # A simulation that is dropped leaves reductions behind: MPI may still write to their buffers.
+        World.on_the_way = [entry for entry in World.on_the_way if not entry[0].Test()]
+        World.on_the_way.append((request, values, result))
+        return [request], result
 
     def max(self, values):
         return self.allreduce(values, self.mpi.MAX)

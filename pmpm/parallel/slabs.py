@@ -46,8 +46,12 @@ class Slabs:
             or self.edges[-1] != self.layers
             or any(0 < w < window for w in widths)
             or min(widths) < 0
+            or any(widths[self.active :])
         ):
-            raise ValueError(f"slabs of {self.edges} must cover 0 .. {self.layers} with at least {window} layers each")
+            raise ValueError(
+                f"slabs of {self.edges} must cover 0 .. {self.layers} with at least {window} layers each; "
+                "ranks without layers come last"
+            )
 
     @property
     def active(self):

@@ -76,14 +76,18 @@ def test_friction_on_motion_straight_into_the_wall_stops_it(dim):
     assert np.abs(after(boundary.wall_friction, -2.0 * n, n)).max() < 1e-15
 
 
-@pytest.mark.parametrize("rule", [getattr(boundary, f"wall_{name}") for name in ("stick", "slip", "separate", "friction")])
+@pytest.mark.parametrize(
+    "rule", [getattr(boundary, f"wall_{name}") for name in ("stick", "slip", "separate", "friction")]
+)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_node_at_rest_stays_at_rest(dim, rule):
     n, _ = scene_of(dim, 9)
     assert (after(rule, np.zeros(dim), n) == 0.0).all()
 
 
-@pytest.mark.parametrize("rule", [getattr(boundary, f"wall_{name}") for name in ("stick", "slip", "separate", "friction")])
+@pytest.mark.parametrize(
+    "rule", [getattr(boundary, f"wall_{name}") for name in ("stick", "slip", "separate", "friction")]
+)
 @pytest.mark.parametrize("normal_speed", [-2.0, 2.0])
 def test_applying_a_rule_twice_changes_nothing_more(rule, normal_speed):
     n, t = scene_of(3, 10)

@@ -24,6 +24,7 @@ KEYS = (
 )
 STATE = (StateField("J", "scalar", "-", "volume ratio", 1.0),)
 LOGARITHMIC = False  # gamma = 1 integrates to a logarithm
+NEWTON_STEPS = 6  # to round-off from where weight / gamma, the compression at rest stiffness, is up to 1
 SMALLEST = 1e-4  # volume ratios below it only keep the logarithm finite until `valid` stops the run
 
 
@@ -55,9 +56,18 @@ def pressure(J, params):
 
 
 def hydrostatic_state(depth, gravity, params, density):
-    """State in equilibrium under `depth` (m) of the same fluid."""
+    """State in equilibrium under `depth` (m) of the same fluid, whose particles are spaced as at rest.
+
+    Then it is J p, the stress on the undeformed volume, that carries the weight: J p = density gravity depth, which is
+    J^(1 - gamma) - J = weight below, solved by Newton's method.
+    """
     bulk_modulus, gamma = params
-    return (exp(-log(1.0 + gamma * density * gravity * max(depth, 0.0) / bulk_modulus) / gamma),)
+    weight = gamma * density * gravity * max(depth, 0.0) / bulk_modulus
+    J = exp(-log(1.0 + weight) / gamma)
+    for _ in range(NEWTON_STEPS):
+        power = exp((1.0 - gamma) * log(J))
+        J = max(J + (power - J - weight) / ((gamma - 1.0) * power / J + 1.0), SMALLEST)
+    return (J,)
 
 
 def kirchhoff_stress(state, params):
