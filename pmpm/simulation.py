@@ -186,8 +186,10 @@ class Simulation:
                 )
                 self.update_planes(0, 0)
                 self.g2p(0, 0, self.real(0), np.zeros(4))
-                for wall in self.walls:
-                    self.kernels.walls[wall.type](self.patch.nodes, 0, 0, 0, 0, 0, 0, wall.normal, wall.coefficient)
+                nothing, normal, none = (0,) * 9, np.zeros(self.dim, self.real), self.real(0)
+                for wall, image in zip(self.kernels.walls.values(), self.kernels.images.values(), strict=True):
+                    wall(self.patch.nodes, *nothing, normal, none)
+                    image(self.patch.nodes, *nothing, normal)
             self.comm.barrier()
         self.timers.add("compile", began)
 
@@ -276,11 +278,14 @@ class Simulation:
         nodes = self.patch.nodes
         if first < last:
             self.wrap_planes(nodes[first:last])
-        self.kernels.update_nodes(nodes, first, last, (self.gravity * float(dt)).astype(self.real))
-        for wall in self.walls:
-            i0, i1 = max(first, wall.box[0]), min(last, wall.box[1])
-            if i0 < i1:
-                self.kernels.walls[wall.type](nodes, i0, i1, *wall.box[2:], wall.normal, wall.coefficient)
+        if self.gravity.any():
+            self.kernels.add_gravity(nodes, first, last, (self.gravity * float(dt)).astype(self.real))
+        here = [(wall, wall.clipped(first, last)) for wall in self.walls]
+        for wall, box in here:
+            self.kernels.walls[wall.type](nodes, *box, *wall.step, wall.normal, wall.coefficient)
+        self.kernels.divide_by_mass(nodes, first, last)
+        for wall, box in here:
+            self.kernels.images[wall.type](nodes, *box, *wall.step, wall.normal)
 
     def wrap_planes(self, planes):
         """Sum the images of a periodic axis other than the slab axis; both images then hold the total."""

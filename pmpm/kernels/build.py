@@ -8,23 +8,26 @@ import numpy as np
 from pmpm.kernels import cpu, targets
 from pmpm.physics import boundary, bspline
 
+# Of each type of wall: rule on its nodes, image beyond it, whether it holds material on both ways.
 WALLS = {
-    "stick": boundary.wall_stick,
-    "slip": boundary.wall_slip,
-    "separate": boundary.wall_separate,
-    "friction": boundary.wall_friction,
+    "stick": (boundary.wall_stick, boundary.image_reversed, True),
+    "slip": (boundary.wall_slip, boundary.image_mirrored, True),
+    "separate": (boundary.wall_separate, boundary.image_mirrored, False),
+    "friction": (boundary.wall_friction, boundary.image_mirrored, False),
 }
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """Entry kernels: p2g and g2p per law, the others per scene; `walls` by wall type."""
+    """Entry kernels: p2g and g2p per law, the others per scene; `walls` and `images` by wall type."""
 
     p2g: tuple[Any, ...]
     g2p: tuple[Any, ...]
     fold_windows: Any
-    update_nodes: Any
+    add_gravity: Any
+    divide_by_mass: Any
     walls: dict[str, Any]
+    images: dict[str, Any]
 
     @property
     def entries(self):
@@ -32,8 +35,10 @@ class Kernels:
             **{f"p2g {i}": kernel for i, kernel in enumerate(self.p2g)},
             **{f"g2p {i}": kernel for i, kernel in enumerate(self.g2p)},
             "fold_windows": self.fold_windows,
-            "update_nodes": self.update_nodes,
+            "add_gravity": self.add_gravity,
+            "divide_by_mass": self.divide_by_mass,
             **{f"wall {name}": kernel for name, kernel in self.walls.items()},
+            **{f"image {name}": kernel for name, kernel in self.images.items()},
         }
 
 
@@ -90,8 +95,17 @@ def build(needs, layouts, parameter_counts):
         target = targets.scalar(real, **scene, **law_choices(law, layout, count))
         p2g.append(target.entry(cpu.p2g))
         g2p.append(target.entry(cpu.g2p))
-    walls = {
-        name: targets.scalar(real, **scene, wall=WALLS[name]).entry(cpu.apply_wall)
-        for name in sorted(set(needs.wall_types) & set(WALLS))
-    }
-    return Kernels(tuple(p2g), tuple(g2p), general.entry(cpu.fold_windows), general.entry(cpu.update_nodes), walls)
+    walls, images = {}, {}
+    for name in sorted(set(needs.wall_types) & set(WALLS)):
+        wall, image, two_sided = WALLS[name]
+        target = targets.scalar(real, **scene, wall=wall, image=image, TWO_SIDED=two_sided)
+        walls[name], images[name] = target.entry(cpu.apply_wall), target.entry(cpu.fill_beyond_wall)
+    return Kernels(
+        tuple(p2g),
+        tuple(g2p),
+        general.entry(cpu.fold_windows),
+        general.entry(cpu.add_gravity),
+        general.entry(cpu.divide_by_mass),
+        walls,
+        images,
+    )

@@ -22,7 +22,7 @@ V_FIELD, C_FIELD, STATE_FIELD = 2, 4, 8
 MASS_COLUMN, VOLUME_COLUMN, DENSITY_COLUMN, PARAMETER_COLUMN = 0, 1, 2, 3
 FARTHEST = 1.484375  # drift from the home node, in cells, that keeps a stencil inside its layer's padded planes
 CAUSE_POSITION, CAUSE_STATE, CAUSE_LEFT = 1, 2, 3  # why a particle stops the run
-wall = boundary.wall_stick
+wall, image, TWO_SIDED = boundary.wall_stick, boundary.image_reversed, True
 
 
 # ---- flat tuples of reals, field by field -----------------------------------------------------------------------------
@@ -202,27 +202,71 @@ def fold_windows(windows, first_layer, last_layer, targets, nodes, unsummed):
 # ---- nodes -------------------------------------------------------------------------------------------------------------
 
 
-def update_nodes(nodes, first_plane, last_plane, velocity_gain):
-    """Momentum -> velocity, plus dt times gravity, on planes first_plane .. last_plane - 1."""
+def add_gravity(nodes, first_plane, last_plane, velocity_gain):
+    """Momentum gains mass times dt times gravity, on planes first_plane .. last_plane - 1."""
+    for i in range(first_plane, last_plane):
+        for j in range(nodes.shape[1]):
+            for k in range(nodes.shape[2]):
+                for q in range(DIMENSIONS):
+                    nodes[i, j, k, q] += nodes[i, j, k, 3] * velocity_gain[q]
+
+
+def divide_by_mass(nodes, first_plane, last_plane):
+    """Momentum -> velocity; nodes without mass are at rest."""
     for i in range(first_plane, last_plane):
         for j in range(nodes.shape[1]):
             for k in range(nodes.shape[2]):
                 mass = nodes[i, j, k, 3]
                 inverse = real(1.0) / mass if mass > 0.0 else real(0.0)
                 for q in range(DIMENSIONS):
-                    gained = velocity_gain[q] if mass > 0.0 else real(0.0)
-                    nodes[i, j, k, q] = nodes[i, j, k, q] * inverse + gained
+                    nodes[i, j, k, q] *= inverse
 
 
-def apply_wall(nodes, i0, i1, j0, j1, k0, k1, normal, coefficient):
-    """The rule `wall` on the velocity of nodes i0 .. i1 - 1, j0 .. j1 - 1, k0 .. k1 - 1."""
+def put_vector(nodes, i, j, k, v):
+    for q in range(DIMENSIONS):
+        nodes[i, j, k, q] = v[q]
+
+
+def apply_wall(nodes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, coefficient):
+    """One face, on momenta: nodes i0 .. i1 - 1, ... are those beyond it, one step (di, dj, dk) leads to the node on it.
+
+    A wall that may be left mirrors only where material presses on it and the wall as a whole pushes; elsewhere the rule
+    acts on the nodes on and beyond it. A mirrored node beyond is left without mass.
+    """
+    n = load_normal(normal)
+    none = real(0.0)
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            for k in range(k0, k1):
+                on = momentum_at(nodes, i + di, j + dj, k + dk)
+                mass_beyond = nodes[i, j, k, 3]
+                pressed = none
+                if mass_beyond > 0.0:
+                    beyond = momentum_at(nodes, i, j, k)
+                    i2, j2, k2 = i + 2 * di, j + 2 * dj, k + 2 * dk
+                    inner, mass_inner = momentum_at(nodes, i2, j2, k2), nodes[i2, j2, k2, 3]
+                    impulse = boundary.mirror_impulse(beyond, mass_beyond, inner, mass_inner, n)
+                    normal_on = la.dot(on, n)
+                    if TWO_SIDED or (normal_on < 0.0 and normal_on + impulse <= 0.0):
+                        put_vector(nodes, i2, j2, k2, la.add_scaled_vector(inner, 1.0, image(beyond, n)))
+                        nodes[i2, j2, k2, 3] = mass_inner + mass_beyond
+                        put_vector(nodes, i, j, k, la.scale_vector(none, beyond))
+                        nodes[i, j, k, 3] = none
+                        pressed = -impulse
+                    else:
+                        put_vector(nodes, i, j, k, wall(beyond, n, coefficient, none))
+                put_vector(nodes, i + di, j + dj, k + dk, wall(on, n, coefficient, pressed))
+
+
+def fill_beyond_wall(nodes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal):
+    """Nodes beyond one face that were mirrored move as the image of the inner ones."""
     n = load_normal(normal)
     for i in range(i0, i1):
         for j in range(j0, j1):
             for k in range(k0, k1):
-                v = wall(momentum_at(nodes, i, j, k), n, coefficient)
-                for q in range(DIMENSIONS):
-                    nodes[i, j, k, q] = v[q]
+                if nodes[i, j, k, 3] == 0.0:
+                    v = momentum_at(nodes, i + 2 * di, j + 2 * dj, k + 2 * dk)
+                    put_vector(nodes, i, j, k, image(v, n))
 
 
 def normal_2(normal):

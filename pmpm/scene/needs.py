@@ -79,30 +79,40 @@ def domain_limits(scene, geometry, real):
 
 @dataclass(frozen=True)
 class PatchWall:
-    """The nodes of a rank's patch at and beyond one face: box (i0, i1, j0, j1, k0, k1), normal into the material."""
+    """One face in a rank's patch: box (i0, i1, j0, j1, k0, k1) of the nodes just beyond it, the step (di, dj, dk) from there
+    to the nodes on it, normal into the material. A stencil reaches one node beyond."""
 
     type: str
     box: tuple[int, ...]
+    step: tuple[int, int, int]
     normal: np.ndarray
     coefficient: float
 
+    def clipped(self, first_plane, last_plane):
+        """The box, as far as it lies on planes first_plane .. last_plane - 1."""
+        i0, i1, *rest = self.box
+        i0, i1 = max(i0, first_plane), min(i1, last_plane)
+        return (i0, max(i0, i1), *rest)
+
 
 def patch_walls(scene, geometry, patch, real):
-    """The walls of the domain, in this patch's counting."""
-    walls, stencil = [], geometry.stencil
+    """The walls of the domain that this patch meets, in its own counting."""
+    walls = []
     array_axis = {axis: number for number, axis in enumerate(geometry.axes) if axis >= 0}
     for face, wall in scene.domain.walls.items():
         if wall.type == "free":
             continue
         axis, at_max = "xyz".index(face[0]), face.endswith("max")
         box = [0, patch.planes, 0, patch.nodes.shape[1], 0, patch.nodes.shape[2]]
-        origin = patch.first_plane if axis == geometry.axes[0] else -stencil.reach_low
-        place = 2 * array_axis[axis]
-        if at_max:
-            box[place] = max(box[place], geometry.cells[axis] - origin)
-        else:
-            box[place + 1] = min(box[place + 1], 1 - origin)
+        origin = patch.first_plane if axis == geometry.axes[0] else -geometry.stencil.reach_low
+        place = array_axis[axis]
+        beyond = (geometry.cells[axis] + 1 if at_max else -1) - origin
+        if not 0 <= beyond < box[2 * place + 1]:
+            continue
+        box[2 * place : 2 * place + 2] = beyond, beyond + 1
+        inward = -1 if at_max else 1
+        step = (inward * (place == 0), inward * (place == 1), inward * (place == 2))
         normal = np.zeros(geometry.dim, real)
-        normal[axis] = -1.0 if at_max else 1.0
-        walls.append(PatchWall(wall.type, tuple(box), normal, real(wall.coefficient)))
+        normal[axis] = inward
+        walls.append(PatchWall(wall.type, tuple(box), step, normal, real(wall.coefficient)))
     return walls
