@@ -7,7 +7,7 @@ PUBLIC = {
     "Scene": "pmpm.scene.schema",
     "SceneError": "pmpm.scene.errors",
     "Simulation": "pmpm.simulation",
-    "NumericalFailure": "pmpm.simulation",
+    "NumericalFailure": "pmpm.failure",
     "load": "pmpm.output.reader",
 }
 __all__ = ["NumericalFailure", "Scene", "SceneError", "Simulation", "load"]

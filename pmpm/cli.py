@@ -130,8 +130,8 @@ def run(options, comm):
             raise SceneError(f"{name} {value}: must be greater than 0")
     scene = read_scene(options)
 
+    from pmpm.failure import NumericalFailure
     from pmpm.run import run_scene
-    from pmpm.simulation import NumericalFailure
 
     out = options.out or Path(options.scene).stem
     try:

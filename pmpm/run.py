@@ -1,11 +1,12 @@
 """One run from scene to finished folder: the simulation with the built-in outputs attached to it."""
 
+from pmpm.failure import NumericalFailure
 from pmpm.output import run_directory
 from pmpm.output.diagnostics import Diagnostics
 from pmpm.output.files import on_rank_zero
 from pmpm.output.progress import Progress
 from pmpm.output.snapshots import SnapshotWriter
-from pmpm.simulation import NumericalFailure, Simulation
+from pmpm.simulation import Simulation
 
 
 class Once:

@@ -12,60 +12,26 @@ observers  whoever watches
 
 import math
 import time as clock
-from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 
+from pmpm import failure, populate, readout
+from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, cpu, targets
-from pmpm.kernels.needs import law_needs
 from pmpm.parallel import comm as communication
 from pmpm.parallel.halo import Halo
 from pmpm.parallel.regroup import migrate, settle
 from pmpm.parallel.slabs import Slabs, cut_evenly, room
+from pmpm.particle_access import Particles
 from pmpm.scene import seeding
 from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
-from pmpm.state.derived import DENSITY, PARAMETERS, DerivedFields
+from pmpm.state.derived import PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
 from pmpm.state.grid import Patch
-from pmpm.state.particles import Cloud, Population
+from pmpm.state.particles import Population
 from pmpm.timestep import StepControl
-
-
-class NumericalFailure(Exception):  # noqa: N818
-    """The run stopped for a numerical cause; the text names step, time, rank, particle, position and material."""
-
-
-@dataclass
-class Observer:
-    """Something that watches the run: called every `steps` steps, or at the first step not before count * seconds."""
-
-    call: Callable
-    steps: int | None
-    seconds: float | None
-    count: int = 1
-
-    def due(self, simulation):
-        if self.steps is not None:
-            return simulation.step_count % self.steps == 0
-        assert self.seconds is not None
-        if simulation.time < self.count * self.seconds:
-            return False
-        self.count = math.floor(simulation.time / self.seconds) + 1
-        return True
-
-
-@dataclass
-class Timers:
-    """Wall seconds per phase on this rank."""
-
-    seconds: dict = field(default_factory=dict)
-
-    def add(self, phase, began):
-        now = clock.perf_counter()
-        self.seconds[phase] = self.seconds.get(phase, 0.0) + now - began
-        return now
+from pmpm.watching import Observer, Timers, spread
 
 
 class Simulation:
@@ -94,9 +60,9 @@ class Simulation:
         self.timers = Timers()
         self.kernels = build.build(self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables])
 
-        self.cut(cut_evenly(self.count_seeds(), self.comm.size, self.needs.stencil.window))
+        self.cut(cut_evenly(populate.count_per_layer(self), self.comm.size, self.needs.stencil.window))
         seeds = seeding.seed(self.scene, self.geometry, self.first_layer, self.last_layer)
-        self.settle_in([self.cloud(law, seeds) for law in range(len(self.needs.laws))])
+        self.settle_in([populate.cloud(self, law, seeds) for law in range(len(self.needs.laws))])
         settled_drift = max(self.needs.stencil.round, 1.0 - self.needs.stencil.round)
         self.control = StepControl(self.comm, scene.time, scene.domain.cell_size, self.dim, cpu.FARTHEST, settled_drift)
         self.control.begin(*self.fastest())
@@ -104,50 +70,9 @@ class Simulation:
         self.dt = self.control.choose(self.time)  # of the step just taken; before the first, of the one to come
         self.warm_up()
         self.first_energy = None
-        self.first_energy = self.total_energy(self.measure())
+        self.first_energy = readout.total_energy(self.measure())
 
     # ---- set-up ----
-
-    def count_seeds(self):
-        """(layers,) particles per layer over all ranks; each rank counts an equal share of the layers."""
-        layers = self.geometry.layers
-        first, last = (layers * r // self.comm.size for r in (self.comm.rank, self.comm.rank + 1))
-        counts = self.comm.sum(seeding.count_per_layer(self.scene, self.geometry, first, last))
-        for number, count in enumerate(counts.sum(axis=1)):
-            if count == 0:
-                raise SceneError(
-                    f"scene: bodies[{number}] holds no particle: it is smaller than the distance between particles, "
-                    "empty, or covered by later bodies"
-                )
-        return counts.sum(axis=0)
-
-    def cloud(self, law, seeds):
-        """The particles of one law, at rest state or in hydrostatic equilibrium, as rows."""
-        layout, parts = self.layouts[law], []
-        for number, (body, body_seeds) in enumerate(zip(self.scene.bodies, seeds, strict=True)):
-            material = self.scene.materials[body.material]
-            if law_needs(material.model, material.parameters) != self.needs.laws[law]:
-                continue
-            count = len(body_seeds.id)
-            reals = np.zeros((count, layout.size), self.real)
-            reals[:, : self.dim] = body_seeds.offset
-            reals[:, layout.where("v")] = body.velocity
-            reals[:, layout.state_first :] = layout.rest_state()
-            if body.pressure == "hydrostatic":
-                reals[:, layout.state_first :] = self.hydrostatic_state(law, number, body_seeds)
-            parts.append(Cloud(reals, body_seeds.node, np.full(count, number, np.int32), body_seeds.id))
-        return Cloud.join([Cloud.empty(layout.size, self.dim, self.real), *parts])
-
-    def hydrostatic_state(self, law, number, seeds):
-        """(n, state) of a fluid at rest under gravity beneath the top of its body."""
-        strength = float(np.linalg.norm(self.gravity))
-        up = -self.gravity / strength
-        low, high = self.scene.bodies[number].shape.bounds()
-        top = float(np.where(up > 0, high, low) @ up)
-        depth = top - (seeds.node + seeds.offset) * self.geometry.cell_size @ up
-        row = self.tables[law][number]
-        function = targets.arrays(np.float64).compile(self.needs.laws[law].module.hydrostatic_state)
-        return np.stack(function(depth, strength, tuple(row[PARAMETERS:]), row[DENSITY]), axis=-1)
 
     def cut(self, edges):
         """Take these layers per rank: a new patch of nodes and new halo buffers; particles follow with `settle_in`."""
@@ -259,7 +184,7 @@ class Simulation:
         self.g2p(0, min(inner[0], layers), dt, extremes)
         self.g2p(inner[1], layers, dt, extremes)
         if self.failed and self.failure is None:
-            self.failure = self.describe_failure(*min(self.failed))
+            self.failure = failure.describe(self, *min(self.failed))
         if self.failure is not None:
             extremes[3] = -self.failure["step"]
         self.control.start(self.step_count + 1, float(dt), extremes)
@@ -367,35 +292,13 @@ class Simulation:
         if failed is not None:
             self.stop(failed)
 
-    def describe_failure(self, law, block, lane, cause):
-        """What there is to say about the first particle that failed here, first in the one global order of its law."""
-        population, layout = self.populations[law], self.layouts[law]
-        index = int(np.flatnonzero(population.lanes.ravel()).searchsorted(block * population.lanes.shape[1] + lane))
-        x = self.derived_of(law, np.float64).x()[index]
-        state = {
-            f.name: population.reals[block, layout.where(f.name), lane] for f in layout.fields[layout_own(layout) :]
-        }
-        body = int(population.block_row[block])
-        return {
-            "step": self.step_count + 1,
-            "time": self.time,
-            "rank": self.comm.rank,
-            "law": law,
-            "id": int(population.id[block, lane]),
-            "position": [float(value) for value in x],
-            "material": self.scene.bodies[body].material,
-            "velocity": [float(value) for value in population.reals[block, layout.where("v"), lane]],
-            "cause": cause,
-            "state": ", ".join(f"{name} = {np.array2string(value, precision=4)}" for name, value in state.items()),
-        }
-
     def stop(self, failed_step):
         """Raise NumericalFailure on all ranks, naming the particle that is first by law and then in the one global order.
 
         Ranks hold consecutive pieces of that order and `min` takes the first of equals: any rank count names the same.
         """
         records = [r for r in self.comm.gather(self.failure) if r is not None and r["step"] == failed_step]
-        raise NumericalFailure(failure_message(min(records, key=lambda record: record["law"])))
+        raise NumericalFailure(failure.message(min(records, key=lambda record: record["law"])))
 
     # ---- what users see ----
 
@@ -417,71 +320,17 @@ class Simulation:
         """How many particles this rank holds."""
         return sum(len(population) for population in self.populations)
 
-    def order(self):
-        """Permutation that puts the laws' particles, one law after another, into the one global order."""
-        return np.argsort(np.concatenate([p.per_particle(p.block_layer) for p in self.populations]), kind="stable")
-
     def fields(self, names):
         """dict of this rank's rows of each named field, in the one global order: see state.fields.OUTPUT, `x` and `id`."""
-        order, derived = self.order(), self.derived(self.real)
-        return {name: np.concatenate([self.field(d, name) for d in derived])[order] for name in names}
-
-    def field(self, derived, name):
-        population = derived.population
-        if name == "id":
-            return population.id[population.lanes]
-        if name == "material":
-            materials = np.array([self.material_names.index(b.material) for b in self.scene.bodies], np.int32)
-            return materials[population.per_particle(population.block_row)]
-        if hasattr(derived, name):
-            return np.asarray(getattr(derived, name)())
-        return self.stored_field(derived, name)
-
-    def stored_field(self, derived, name):
-        """Rows of a stored field, nan where this law keeps no such field."""
-        values = derived.field(name)
-        if values is None:
-            size = max(f.size(self.dim) for layout in self.layouts for f in layout.fields if f.name == name)
-            values = np.full((len(derived.population), size), np.nan, self.real)
-        return values[:, 0] if values.shape[1] == 1 else values
+        return readout.fields(self, names)
 
     def law_fields(self, names):
         """dict of law -> dict of the named state variables it keeps, over its own particles in order."""
-        found: dict[str, dict] = {}
-        for law, derived in zip(self.needs.laws, self.derived(self.real), strict=True):
-            own = {f.name for f in law.fields}
-            values = {name: derived.field(name) for name in names if name in own}
-            if values:
-                found[law.model] = {k: v[:, 0] if v.shape[1] == 1 else v for k, v in values.items()}
-        return found
+        return readout.law_fields(self, names)
 
     def measure(self):
-        """Totals over all ranks: particles, mass, momentum, angular momentum, energies, max_speed.
-
-        Sums run over particles within a layer and then over layers, so that they do not depend on the rank count.
-        """
-        per_layer: dict[str, np.ndarray] = {}
-        top, layers = 0.0, self.geometry.layers
-        for derived in self.derived(np.float64):
-            layer = derived.population.per_particle(derived.population.block_layer)
-            for name, values in derived.totals(self.gravity).items():
-                added = np.bincount(layer, weights=values, minlength=layers)
-                per_layer[name] = per_layer.get(name, 0.0) + added
-            top = max(top, float(derived.speed().max(initial=0.0)))
-        names = list(per_layer)
-        summed = self.comm.sum(np.stack([per_layer[name] for name in names]))
-        found: dict[str, float] = {"particles": int(self.comm.sum(np.array([self.rows()]))[0])}
-        found |= {name: math.fsum(row) for name, row in zip(names, summed, strict=True)}
-        if self.first_energy is not None:
-            found["dissipated"] = self.first_energy - self.total_energy(found)
-        else:
-            found["dissipated"] = 0.0
-        found["max_speed"] = float(self.comm.max(np.array([top]))[0])
-        return found
-
-    @staticmethod
-    def total_energy(measured):
-        return measured["kinetic"] + measured["strain"] + measured["potential"]
+        """Totals over all ranks, the same for any rank count: particles, mass, momentum, angular momentum, energies, ..."""
+        return readout.measure(self)
 
     @property
     def notes(self):
@@ -510,98 +359,3 @@ class Simulation:
             "kernels_loaded": loaded,
             "seconds_per_phase": spread(self.comm.gather(self.timers.seconds)),
         }
-
-
-class Particles:
-    """This rank's particles as arrays: reading gives a copy, assigning writes back. Rows may change order at any step."""
-
-    READ_ONLY = ("id", "material", "mass", "volume0", "volume", "J")
-
-    def __init__(self, simulation):
-        object.__setattr__(self, "simulation", simulation)
-
-    def __getattr__(self, name):
-        simulation = self.simulation
-        if name == "volume":
-            return self.volume0 * self.J
-        if name not in simulation_fields(simulation):
-            raise AttributeError(f"particles have no {name!r}; known: {', '.join(simulation_fields(simulation))}")
-        values = simulation.fields([name])[name]
-        if name in ("F", "C"):
-            return values.reshape(-1, simulation.dim, simulation.dim)
-        return values
-
-    def __setattr__(self, name, values):
-        """Write (n, ...) values back. Assigning `x` is collective: it regroups all particles."""
-        simulation = self.simulation
-        if name not in simulation_fields(simulation) or (name in self.READ_ONLY and not writable(simulation, name)):
-            raise AttributeError(f"particles.{name} cannot be assigned")
-        values = np.asarray(values).reshape(simulation.rows(), -1)
-        if name == "x":
-            self.check_inside(values)
-        in_order = np.empty_like(values)
-        in_order[simulation.order()] = values
-        first = 0
-        for population, layout in zip(simulation.populations, simulation.layouts, strict=True):
-            rows = in_order[first : first + len(population)]
-            first += len(population)
-            if name == "x":
-                node = population.unpack(simulation.geometry.axes).node
-                population.set_rows(layout.where("x"), rows / simulation.geometry.cell_size - node)
-            elif layout.where(name) is not None:
-                population.set_rows(layout.where(name), rows)
-        if name == "x":
-            simulation.regroup()
-
-    def check_inside(self, x):
-        """Raise ValueError, on all ranks, if any rank's positions (n, dim) in m are not numbers or beyond the walls."""
-        comm, geometry = self.simulation.comm, self.simulation.geometry
-        nearest = np.floor(x / geometry.cell_size + geometry.stencil.round)
-        inside = np.isfinite(x)
-        for axis in range(geometry.dim):
-            if not geometry.periodic[axis]:
-                inside[:, axis] &= (nearest[:, axis] >= 0) & (nearest[:, axis] < geometry.homes(axis))
-        outside = int(comm.sum(np.array([np.count_nonzero(~inside.all(axis=1))]))[0])
-        if outside:
-            raise ValueError(f"particles.x: {outside} of the new positions are not inside the domain")
-
-
-def writable(simulation, name):
-    """Whether a derived quantity is a stored state variable of some law here."""
-    return any(layout.where(name) is not None for layout in simulation.layouts)
-
-
-def simulation_fields(simulation):
-    """Names that `particles` answers to."""
-    stored = [f.name for layout in simulation.layouts for f in layout.fields]
-    return list(dict.fromkeys(["x", "v", "C", *stored, "J", "mass", "volume0", "material", "id", "density", "stress"]))
-
-
-def layout_own(layout):
-    """Number of fields every law has."""
-    return len(layout.fields) - sum(1 for f in layout.fields if layout.where(f.name).start >= layout.state_first)
-
-
-def failure_message(record):
-    """One line a user can act on."""
-    finite = all(math.isfinite(value) for value in record["velocity"])
-    causes = {
-        cpu.CAUSE_POSITION: "it moved further in a few steps than the padding of its slab allows: the time step is too "
-        "long" if finite else "its velocity is not a number",
-        cpu.CAUSE_STATE: f"its state is no longer valid: {record['state']}",
-        cpu.CAUSE_LEFT: "it left the domain",
-    }  # fmt: skip
-    position = ", ".join(f"{value:.6g}" for value in record["position"])
-    return (
-        f"step {record['step']}, t = {record['time']:.6g} s, rank {record['rank']}: particle {record['id']} of material "
-        f"{record['material']} at ({position}) m: {causes[record['cause']]} (velocity {record['velocity']} m/s)"
-    )
-
-
-def spread(per_rank):
-    """min, mean and max over ranks of each phase's seconds."""
-    names = sorted({name for seconds in per_rank for name in seconds})
-    values = {name: [seconds.get(name, 0.0) for seconds in per_rank] for name in names}
-    return {
-        name: {"min": min(v), "mean": math.fsum(v) / len(v), "max": max(v)} for name, v in values.items()
-    }  # fmt: skip

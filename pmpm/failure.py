@@ -1,0 +1,49 @@
+"""What is said when a particle fails: the record its rank keeps, and the one message all ranks stop with."""
+
+import math
+
+import numpy as np
+
+from pmpm.kernels import cpu
+from pmpm.state.fields import COMMON
+
+
+class NumericalFailure(Exception):  # noqa: N818
+    """The run stopped for a numerical cause; the text names step, time, rank, particle, position and material."""
+
+
+def describe(simulation, law, block, lane, cause):
+    """What there is to say about the first particle that failed here, first in the one global order of its law."""
+    population, layout = simulation.populations[law], simulation.layouts[law]
+    index = int(np.flatnonzero(population.lanes.ravel()).searchsorted(block * population.lanes.shape[1] + lane))
+    x = simulation.derived_of(law, np.float64).x()[index]
+    state = {f.name: population.reals[block, layout.where(f.name), lane] for f in layout.fields[len(COMMON) :]}
+    body = int(population.block_row[block])
+    return {
+        "step": simulation.step_count + 1,
+        "time": simulation.time,
+        "rank": simulation.comm.rank,
+        "law": law,
+        "id": int(population.id[block, lane]),
+        "position": [float(value) for value in x],
+        "material": simulation.scene.bodies[body].material,
+        "velocity": [float(value) for value in population.reals[block, layout.where("v"), lane]],
+        "cause": cause,
+        "state": ", ".join(f"{name} = {np.array2string(value, precision=4)}" for name, value in state.items()),
+    }
+
+
+def message(record):
+    """One line a user can act on."""
+    finite = all(math.isfinite(value) for value in record["velocity"])
+    causes = {
+        cpu.CAUSE_POSITION: "it moved further in a few steps than the padding of its slab allows: the time step is too "
+        "long" if finite else "its velocity is not a number",
+        cpu.CAUSE_STATE: f"its state is no longer valid: {record['state']}",
+        cpu.CAUSE_LEFT: "it left the domain",
+    }  # fmt: skip
+    position = ", ".join(f"{value:.6g}" for value in record["position"])
+    return (
+        f"step {record['step']}, t = {record['time']:.6g} s, rank {record['rank']}: particle {record['id']} of material "
+        f"{record['material']} at ({position}) m: {causes[record['cause']]} (velocity {record['velocity']} m/s)"
+    )

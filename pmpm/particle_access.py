@@ -1,0 +1,68 @@
+"""A user's view of the particles: arrays in metres and SI units, read as copies, written back by assigning."""
+
+import numpy as np
+
+
+class Particles:
+    """This rank's particles as arrays: reading gives a copy, assigning writes back. Rows may change order at any step."""
+
+    READ_ONLY = ("id", "material", "mass", "volume0", "volume", "J")
+
+    def __init__(self, simulation):
+        object.__setattr__(self, "simulation", simulation)
+
+    def __getattr__(self, name):
+        simulation = self.simulation
+        if name == "volume":
+            return self.volume0 * self.J
+        if name not in simulation_fields(simulation):
+            raise AttributeError(f"particles have no {name!r}; known: {', '.join(simulation_fields(simulation))}")
+        values = simulation.fields([name])[name]
+        if name in ("F", "C"):
+            return values.reshape(-1, simulation.dim, simulation.dim)
+        return values
+
+    def __setattr__(self, name, values):
+        """Write (n, ...) values back. Assigning `x` is collective: it regroups all particles."""
+        simulation = self.simulation
+        if name not in simulation_fields(simulation) or (name in self.READ_ONLY and not writable(simulation, name)):
+            raise AttributeError(f"particles.{name} cannot be assigned")
+        values = np.asarray(values).reshape(simulation.rows(), -1)
+        if name == "x":
+            self.check_inside(values)
+        in_order = np.empty_like(values)
+        in_order[simulation.order()] = values
+        first = 0
+        for population, layout in zip(simulation.populations, simulation.layouts, strict=True):
+            rows = in_order[first : first + len(population)]
+            first += len(population)
+            if name == "x":
+                node = population.unpack(simulation.geometry.axes).node
+                population.set_rows(layout.where("x"), rows / simulation.geometry.cell_size - node)
+            elif layout.where(name) is not None:
+                population.set_rows(layout.where(name), rows)
+        if name == "x":
+            simulation.regroup()
+
+    def check_inside(self, x):
+        """Raise ValueError, on all ranks, if any rank's positions (n, dim) in m are not numbers or beyond the walls."""
+        comm, geometry = self.simulation.comm, self.simulation.geometry
+        nearest = np.floor(x / geometry.cell_size + geometry.stencil.round)
+        inside = np.isfinite(x)
+        for axis in range(geometry.dim):
+            if not geometry.periodic[axis]:
+                inside[:, axis] &= (nearest[:, axis] >= 0) & (nearest[:, axis] < geometry.homes(axis))
+        outside = int(comm.sum(np.array([np.count_nonzero(~inside.all(axis=1))]))[0])
+        if outside:
+            raise ValueError(f"particles.x: {outside} of the new positions are not inside the domain")
+
+
+def writable(simulation, name):
+    """Whether a derived quantity is a stored state variable of some law here."""
+    return any(layout.where(name) is not None for layout in simulation.layouts)
+
+
+def simulation_fields(simulation):
+    """Names that `particles` answers to."""
+    stored = [f.name for layout in simulation.layouts for f in layout.fields]
+    return list(dict.fromkeys(["x", "v", "C", *stored, "J", "mass", "volume0", "material", "id", "density", "stress"]))

@@ -1,0 +1,84 @@
+"""What a simulation tells about its state: fields of its particles in the one global order, and totals over all ranks."""
+
+import math
+
+import numpy as np
+
+
+def order(simulation):
+    """Permutation that puts the laws' particles, one law after another, into the one global order."""
+    return np.argsort(np.concatenate([p.per_particle(p.block_layer) for p in simulation.populations]), kind="stable")
+
+
+def fields(simulation, names):
+    """dict of this rank's rows of each named field, in the one global order: see state.fields.OUTPUT, `x` and `id`."""
+    rows, derived = order(simulation), simulation.derived(simulation.real)
+    return {name: np.concatenate([field(simulation, d, name) for d in derived])[rows] for name in names}
+
+
+def field(simulation, derived, name):
+    population = derived.population
+    if name == "id":
+        return population.id[population.lanes]
+    if name == "material":
+        materials = np.array([simulation.material_names.index(b.material) for b in simulation.scene.bodies], np.int32)
+        return materials[population.per_particle(population.block_row)]
+    if hasattr(derived, name):
+        return np.asarray(getattr(derived, name)())
+    return stored_field(simulation, derived, name)
+
+
+def stored_field(simulation, derived, name):
+    """Rows of a stored field, nan where this law keeps no such field."""
+    values = derived.field(name)
+    if values is None:
+        size = max(f.size(simulation.dim) for layout in simulation.layouts for f in layout.fields if f.name == name)
+        values = np.full((len(derived.population), size), np.nan, simulation.real)
+    return values[:, 0] if values.shape[1] == 1 else values
+
+
+def law_fields(simulation, names):
+    """dict of law -> dict of the named state variables it keeps, over its own particles in order.
+
+    Laws of one model that were compiled with different choices are told apart by a number: drucker_prager, drucker_prager_2.
+    """
+    found: dict[str, dict] = {}
+    models: list[str] = []
+    for law, derived in zip(simulation.needs.laws, simulation.derived(simulation.real), strict=True):
+        models.append(law.model)
+        repeated = models.count(law.model)
+        label = law.model if repeated == 1 else f"{law.model}_{repeated}"
+        own = {f.name for f in law.fields}
+        values = {name: derived.field(name) for name in names if name in own}
+        if values:
+            found[label] = {k: v[:, 0] if v.shape[1] == 1 else v for k, v in values.items()}
+    return found
+
+
+def measure(simulation):
+    """Totals over all ranks: particles, mass, momentum, angular momentum, energies, max_speed.
+
+    Sums run over particles within a layer and then over layers, so that they do not depend on the rank count.
+    """
+    per_layer: dict[str, np.ndarray] = {}
+    top, layers = 0.0, simulation.geometry.layers
+    for derived in simulation.derived(np.float64):
+        layer = derived.population.per_particle(derived.population.block_layer)
+        for name, values in derived.totals(simulation.gravity).items():
+            added = np.bincount(layer, weights=values, minlength=layers)
+            per_layer[name] = per_layer.get(name, 0.0) + added
+        top = max(top, float(derived.speed().max(initial=0.0)))
+    names = list(per_layer)
+    summed = simulation.comm.sum(np.stack([per_layer[name] for name in names]))
+    found: dict[str, float] = {"particles": int(simulation.comm.sum(np.array([simulation.rows()]))[0])}
+    found |= {name: math.fsum(row) for name, row in zip(names, summed, strict=True)}
+    if simulation.first_energy is not None:
+        found["dissipated"] = simulation.first_energy - total_energy(found)
+    else:
+        found["dissipated"] = 0.0
+    found["max_speed"] = float(simulation.comm.max(np.array([top]))[0])
+    return found
+
+
+def total_energy(measured):
+    return measured["kinetic"] + measured["strain"] + measured["potential"]
