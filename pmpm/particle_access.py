@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from pmpm import readout
+
 
 class Particles:
     """This rank's particles as arrays: reading gives a copy, assigning writes back. Rows may change order at any step."""
@@ -23,7 +25,7 @@ class Particles:
         return values
 
     def __setattr__(self, name, values):
-        """Write (n, ...) values back. Assigning `x` is collective: it regroups all particles."""
+        """Write (n, ...) values back. Collective: every rank assigns rows of its own; `x` regroups all particles."""
         simulation = self.simulation
         if name not in simulation_fields(simulation) or (name in self.READ_ONLY and not writable(simulation, name)):
             raise AttributeError(f"particles.{name} cannot be assigned")
@@ -31,7 +33,7 @@ class Particles:
         if name == "x":
             self.check_inside(values)
         in_order = np.empty_like(values)
-        in_order[simulation.order()] = values
+        in_order[readout.order(simulation)] = values
         first = 0
         for population, layout in zip(simulation.populations, simulation.layouts, strict=True):
             rows = in_order[first : first + len(population)]
@@ -41,8 +43,7 @@ class Particles:
                 population.set_rows(layout.where("x"), rows / simulation.geometry.cell_size - node)
             elif layout.where(name) is not None:
                 population.set_rows(layout.where(name), rows)
-        if name == "x":
-            simulation.regroup()
+        simulation.changed_by_hand(moved=name == "x")
 
     def check_inside(self, x):
         """Raise ValueError, on all ranks, if any rank's positions (n, dim) in m are not numbers or beyond the walls."""

@@ -4,6 +4,9 @@ import math
 
 import numpy as np
 
+from pmpm.physics.materials import LAWS
+from pmpm.state.fields import KIND_SIZE
+
 
 def order(simulation):
     """Permutation that puts the laws' particles, one law after another, into the one global order."""
@@ -29,10 +32,11 @@ def field(simulation, derived, name):
 
 
 def stored_field(simulation, derived, name):
-    """Rows of a stored field, nan where this law keeps no such field."""
+    """Rows of a stored field, nan where this law, or any law of the bodies, keeps no such field."""
     values = derived.field(name)
     if values is None:
-        size = max(f.size(simulation.dim) for layout in simulation.layouts for f in layout.fields if f.name == name)
+        laws = [LAWS[material.model] for material in simulation.scene.materials.values()]
+        size = max(KIND_SIZE[f.kind](simulation.dim) for law in laws for f in law.STATE if f.name == name)
         values = np.full((len(derived.population), size), np.nan, simulation.real)
     return values[:, 0] if values.shape[1] == 1 else values
 
@@ -72,10 +76,7 @@ def measure(simulation):
     summed = simulation.comm.sum(np.stack([per_layer[name] for name in names]))
     found: dict[str, float] = {"particles": int(simulation.comm.sum(np.array([simulation.rows()]))[0])}
     found |= {name: math.fsum(row) for name, row in zip(names, summed, strict=True)}
-    if simulation.first_energy is not None:
-        found["dissipated"] = simulation.first_energy - total_energy(found)
-    else:
-        found["dissipated"] = 0.0
+    found["dissipated"] = simulation.first_energy - total_energy(found)
     found["max_speed"] = float(simulation.comm.max(np.array([top]))[0])
     return found
 

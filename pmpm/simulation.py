@@ -65,12 +65,12 @@ class Simulation:
         self.settle_in([populate.cloud(self, law, seeds) for law in range(len(self.needs.laws))])
         settled_drift = max(self.needs.stencil.round, 1.0 - self.needs.stencil.round)
         self.control = StepControl(self.comm, scene.time, scene.domain.cell_size, self.dim, cpu.FARTHEST, settled_drift)
-        self.control.begin(*self.fastest())
+        self.control.begin(self.step_count, *self.fastest())
         self.check_fixed_step(SceneError)
         self.dt = self.control.choose(self.time)  # of the step just taken; before the first, of the one to come
         self.warm_up()
-        self.first_energy = None
-        self.first_energy = readout.total_energy(self.measure())
+        self.first_energy = 0.0
+        self.take_energy()
 
     # ---- set-up ----
 
@@ -119,13 +119,24 @@ class Simulation:
         self.timers.add("compile", began)
 
     def fastest(self):
-        """(max |v|^2, max c^2) of this rank's particles."""
+        """(max |v|^2, max c^2) of this rank's particles; a particle that is not a number stops the run, not this."""
         speed = wave = 0.0
         for derived in self.derived(self.real):
-            if len(derived.population):
-                speed = max(speed, float((derived.speed() ** 2).max()))
-                wave = max(wave, float(derived.wave_speed_squared().max()))
+            speeds, waves = derived.speed() ** 2, derived.wave_speed_squared()
+            speed = max(speed, float(speeds[np.isfinite(speeds)].max(initial=0.0)))
+            wave = max(wave, float(waves[np.isfinite(waves)].max(initial=0.0)))
         return speed, wave
+
+    def changed_by_hand(self, moved):
+        """Take note that someone has written to the particles; `moved`: to their positions. Collective."""
+        if moved:
+            self.regroup()
+        self.control.begin(self.step_count, *self.fastest())
+        self.take_energy()
+
+    def take_energy(self):
+        """Count dissipation from here."""
+        self.first_energy = readout.total_energy(self.measure())
 
     def check_fixed_step(self, error):
         bound = self.control.exceeds()

@@ -38,10 +38,12 @@ class StepControl:
         self.pending: deque[Pending] = deque()
         self.travel = 0.0
         self.regrouped(0)
+        self.begun = 0
         self.speed = self.wave = 0.0
 
-    def begin(self, speed_squared, wave_squared):
-        """Take the maxima of the initial state over all ranks."""
+    def begin(self, step, speed_squared, wave_squared):
+        """Take the maxima over all ranks of a state that no step has made, before the step after `step`."""
+        self.begun = step
         self.learn(self.comm.max(np.array([speed_squared, wave_squared], np.float64)))
 
     def learn(self, values):
@@ -87,7 +89,7 @@ class StepControl:
             return None
         arrived = self.pending.popleft()
         self.finish(arrived)
-        if np.isfinite(arrived.values[:DRIFT]).all():
+        if arrived.step > self.begun and np.isfinite(arrived.values[:DRIFT]).all():
             self.learn(arrived.values)
         if arrived.step > self.regroup_step:
             self.drift, self.drift_travel = arrived.values[DRIFT], arrived.travel

@@ -1,0 +1,61 @@
+"""Reading and writing particles from Python."""
+
+import numpy as np
+import pytest
+
+import pmpm
+
+
+@pytest.fixture
+def simulation():
+    return pmpm.Simulation(
+        pmpm.Scene(
+            domain={"size": [60.0, 10.0], "cell_size": 1.0},
+            time={"end": 1.0},
+            materials={"rubber": {"model": "neo_hookean", "density": 1e3, "youngs_modulus": 1e6, "poisson_ratio": 0.3}},
+            bodies=[{"material": "rubber", "shape": {"type": "box", "min": [2.0, 3.0], "max": [6.0, 7.0]}}],
+        )
+    )
+
+
+def test_a_velocity_set_by_hand_bounds_the_next_step(simulation):
+    """0.2 cells of motion at 1000 m/s on cells of 1 m: 2e-4 s, below the 0.0077 s of the waves."""
+    simulation.particles.v = np.broadcast_to([1000.0, 0.0], (simulation.rows(), 2))
+    simulation.step()
+    assert simulation.dt == pytest.approx(2e-4, rel=1e-12)
+
+
+def test_a_velocity_set_by_hand_in_a_run_bounds_the_next_steps(simulation):
+    simulation.run(steps=5)
+    simulation.particles.v = np.broadcast_to([1000.0, 0.0], (simulation.rows(), 2))
+    for _ in range(3):
+        simulation.step()
+        assert simulation.dt < 2.1e-4
+
+
+def test_dissipation_is_counted_from_the_state_set_by_hand(simulation):
+    simulation.particles.v = np.broadcast_to([10.0, 0.0], (simulation.rows(), 2))
+    assert simulation.measure()["dissipated"] == 0.0
+
+
+def test_positions_set_by_hand_are_read_back(simulation):
+    x = simulation.particles.x + [20.3, 0.4]
+    ids = simulation.particles.id
+    simulation.particles.x = x
+    by_id = np.argsort(ids), np.argsort(simulation.particles.id)
+    np.testing.assert_allclose(simulation.particles.x[by_id[1]], x[by_id[0]], rtol=0, atol=1e-14 * 60)
+
+
+def test_positions_outside_the_domain_are_refused(simulation):
+    with pytest.raises(ValueError, match="not inside the domain"):
+        simulation.particles.x = simulation.particles.x - 10.0
+
+
+def test_what_cannot_be_assigned_says_so(simulation):
+    with pytest.raises(AttributeError, match="mass cannot be assigned"):
+        simulation.particles.mass = 1.0
+
+
+def test_an_unknown_name_lists_the_known_ones(simulation):
+    with pytest.raises(AttributeError, match="known: x, v, C, F"):
+        _ = simulation.particles.velocities
