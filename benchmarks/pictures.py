@@ -1,6 +1,6 @@
 """The pictures of the README, from runs of built-in scenes (needs matplotlib).
 
-    python benchmarks/pictures.py [--out runs] [--docs docs]
+python benchmarks/pictures.py [--out runs] [--docs docs]
 """
 
 import argparse

@@ -1,5 +1,5 @@
-"""Wall rules on the velocity of one node: stick v = 0; slip no normal motion; separate may leave, may not enter;
-friction separate with Coulomb's law."""
+"""Wall rules on the momentum of one node: stick p = 0; slip no normal motion; separate may leave, may not enter;
+friction separate with Coulomb's law. And the images of a mirror, against its definition."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,12 @@ def scene_of(dim, seed):
     return Q[:, 0], Q[:, 1]
 
 
-def after(rule, v, n, coefficient=COEFFICIENT):
-    return np.array(in_dimension(rule, len(v))(tuple(map(float, v)), tuple(map(float, n)), coefficient))
+def after(rule, p, n, coefficient=COEFFICIENT, pressed=0.0):
+    return np.array(in_dimension(rule, len(p))(tuple(map(float, p)), tuple(map(float, n)), coefficient, pressed))
+
+
+def image(rule, p, n):
+    return np.array(in_dimension(rule, len(p))(tuple(map(float, p)), tuple(map(float, n))))
 
 
 @pytest.mark.parametrize(("dim", "seed"), CASES)
@@ -93,3 +97,40 @@ def test_applying_a_rule_twice_changes_nothing_more(rule, normal_speed):
     n, t = scene_of(3, 10)
     once = after(rule, 3.0 * t + normal_speed * n, n)
     assert np.abs(after(rule, once, n) - once).max() < 1e-14
+
+
+@pytest.mark.parametrize(("dim", "seed"), CASES)
+def test_friction_counts_what_presses_elsewhere(dim, seed):
+    # Coulomb on 2 stopped here and 1.5 taken by the mirror: 3 - 0.4 * 3.5.
+    n, t = scene_of(dim, seed)
+    p = after(boundary.wall_friction, 3.0 * t - 2.0 * n, n, pressed=1.5)
+    assert np.abs(p - 1.6 * t).max() < 1e-14
+
+
+@pytest.mark.parametrize(("dim", "seed"), CASES)
+def test_a_mirror_turns_normal_motion_round_and_a_sticking_one_all_motion(dim, seed):
+    n, t = scene_of(dim, seed)
+    p = 3.0 * t - 2.0 * n
+    assert np.abs(image(boundary.image_mirrored, p, n) - 3.0 * t - 2.0 * n).max() < 1e-14
+    assert (image(boundary.image_reversed, p, n) == -p).all()
+
+
+@pytest.mark.parametrize("rule", [boundary.image_mirrored, boundary.image_reversed])
+@pytest.mark.parametrize(("dim", "seed"), CASES)
+def test_the_image_of_the_image_is_the_thing_itself(dim, seed, rule):
+    n, t = scene_of(dim, seed)
+    p = 3.0 * t - 2.0 * n
+    assert np.abs(image(rule, image(rule, p, n), n) - p).max() < 1e-14
+
+
+@pytest.mark.parametrize(("dim", "seed"), CASES)
+def test_the_mirrors_impulse_is_the_normal_momentum_that_is_missing_afterwards(dim, seed):
+    n, t = scene_of(dim, seed)
+    beyond, mass_beyond, inner, mass_inner = 0.3 * t - 0.7 * n, 0.2, 2.0 * t + 0.5 * n, 1.1
+    v = (inner + image(boundary.image_mirrored, beyond, n)) / (mass_inner + mass_beyond)
+    left = mass_inner * v + mass_beyond * image(boundary.image_mirrored, v, n)
+    taken = in_dimension(boundary.mirror_impulse, dim)(
+        tuple(map(float, beyond)), mass_beyond, tuple(map(float, inner)), mass_inner, tuple(map(float, n))
+    )
+    assert taken == pytest.approx((beyond + inner - left) @ n, abs=1e-14)
+    assert abs((beyond + inner - left) @ t) < 1e-14

@@ -1,0 +1,124 @@
+"""The verbs of communication mean the same on one process alone, on one rank of MPI, and on several ranks."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from pmpm.parallel.comm import Alone, World, adopt
+
+pytestmark = pytest.mark.mpi(min_size=2)
+
+EVERYWHERE = pytest.mark.parametrize(
+    "comm", [Alone(), World(MPI.COMM_SELF), World(MPI.COMM_WORLD)], ids=["alone", "self", "world"]
+)
+
+
+def by_rank(comm, width=4):
+    """(ranks, width) numbers that every rank can compute: row r is what rank r contributes."""
+    return np.random.default_rng(5).standard_normal((comm.size, width))
+
+
+@EVERYWHERE
+def test_max_is_over_all_ranks(comm):
+    values = by_rank(comm)
+    assert comm.max(values[comm.rank]).tolist() == values.max(axis=0).tolist()
+
+
+@EVERYWHERE
+def test_a_maximum_that_was_started_earlier_is_over_all_ranks(comm):
+    values = by_rank(comm)
+    handle = comm.start_max(values[comm.rank])
+    assert comm.finish(handle).tolist() == values.max(axis=0).tolist()
+
+
+@EVERYWHERE
+def test_maxima_on_their_way_at_once_do_not_mix(comm):
+    values = by_rank(comm, 5)
+    handles = [comm.start_max(values[comm.rank, n : n + 1]) for n in range(5)]
+    found = [comm.finish(handle)[0] for handle in reversed(handles)]
+    assert found == values.max(axis=0)[::-1].tolist()
+
+
+@EVERYWHERE
+def test_a_started_maximum_is_of_the_values_at_its_start(comm):
+    values = by_rank(comm)[comm.rank].copy()
+    handle = comm.start_max(values)
+    values[:] = 1e9
+    assert comm.finish(handle).max() < 1e9
+
+
+@EVERYWHERE
+def test_sum_of_integers_is_over_all_ranks(comm):
+    assert comm.sum(np.array([comm.rank + 1, 1])).tolist() == [comm.size * (comm.size + 1) // 2, comm.size]
+
+
+@EVERYWHERE
+def test_sum_of_disjoint_contributions_keeps_every_bit(comm):
+    values = by_rank(comm, 50)[0]
+    own = np.where(np.arange(50) % comm.size == comm.rank, values, 0.0)
+    assert comm.sum(own).tobytes() == values.tobytes()
+
+
+@EVERYWHERE
+def test_reductions_leave_what_they_were_given_alone(comm):
+    values = np.full(3, float(comm.rank))
+    comm.sum(values)[:] = 7.0
+    comm.max(values)[:] = 7.0
+    assert values.tolist() == [comm.rank] * 3
+
+
+@EVERYWHERE
+def test_offsets_number_the_rows_of_all_ranks(comm):
+    counts = [3 + 2 * rank for rank in range(comm.size)]
+    assert comm.offsets(counts[comm.rank]) == (sum(counts[: comm.rank]), sum(counts))
+
+
+@EVERYWHERE
+def test_gather_lists_by_rank(comm):
+    assert comm.gather(("of", comm.rank)) == [("of", rank) for rank in range(comm.size)]
+
+
+@EVERYWHERE
+def test_broadcast_tells_what_rank_zero_says(comm):
+    assert comm.broadcast({"rank": comm.rank}) == {"rank": 0}
+
+
+@EVERYWHERE
+def test_pieces_reach_the_rank_they_are_for(comm):
+    def piece(giver, taker):
+        return bytes([giver, taker]) * (1 + giver + 3 * taker)
+
+    received = comm.exchange_pieces([piece(comm.rank, taker) for taker in range(comm.size)])
+    assert [bytes(part) for part in received] == [piece(giver, comm.rank) for giver in range(comm.size)]
+
+
+@EVERYWHERE
+def test_empty_pieces_are_legal(comm):
+    received = comm.exchange_pieces([b""] * comm.size)
+    assert [bytes(part) for part in received] == [b""] * comm.size
+
+
+@EVERYWHERE
+def test_a_message_to_oneself_arrives(comm):
+    given, taken = np.arange(4.0), np.zeros(4)
+    comm.finish(comm.start_exchange([(comm.rank, 3, given)], [(comm.rank, 3, taken)]))
+    assert taken.tolist() == given.tolist()
+
+
+@EVERYWHERE
+def test_messages_around_a_ring_are_told_apart_by_tag(comm):
+    left, right = (comm.rank - 1) % comm.size, (comm.rank + 1) % comm.size
+    to_right, to_left = np.full(2, 10.0 + comm.rank), np.full(2, 20.0 + comm.rank)
+    from_left, from_right = np.zeros(2), np.zeros(2)
+    sends, receives = [(right, 0, to_right), (left, 1, to_left)], [(right, 1, from_right), (left, 0, from_left)]
+    comm.finish(comm.start_exchange(sends, receives))
+    assert (from_left.tolist(), from_right.tolist()) == ([10.0 + left] * 2, [20.0 + right] * 2)
+
+
+def test_a_users_communicator_becomes_a_world():
+    comm = adopt(MPI.COMM_WORLD)
+    assert (comm.rank, comm.size) == (MPI.COMM_WORLD.rank, MPI.COMM_WORLD.size)
+
+
+def test_no_communicator_means_alone_on_every_rank():
+    assert adopt(None).size == 1

@@ -1,0 +1,119 @@
+"""The halo sum: on every rank, for all cuts, each node holds the sum over layers in their order, bit for bit."""
+
+import itertools
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from pmpm.kernels.cpu import fold_windows
+from pmpm.kernels.needs import QUADRATIC
+from pmpm.parallel.comm import World
+from pmpm.parallel.halo import Halo
+from pmpm.parallel.slabs import Slabs
+from pmpm.state.grid import Geometry, Patch
+
+pytestmark = pytest.mark.mpi(min_size=2)
+
+COMM = World(MPI.COMM_WORLD)
+WINDOW, LOW, HIGH = QUADRATIC.window, QUADRATIC.reach_low, QUADRATIC.reach_high
+CELLS = 17
+GRIDS = {  # cells and array axes of the slab axis x, y, z
+    "x in 2-D": ((CELLS, 3), (0, -1, 1)),
+    "y in 2-D": ((3, CELLS), (1, -1, 0)),
+    "z in 3-D": ((2, 1, CELLS), (2, 0, 1)),
+}
+
+
+def geometry(grid, periodic):
+    cells, axes = GRIDS[grid]
+    return Geometry(cells, tuple(periodic and axis == axes[0] for axis in range(len(cells))), 0.1, axes, QUADRATIC)
+
+
+def edges_of_all_cuts(layers, ranks):
+    """Every way to cut the layers for 1 .. ranks ranks; those left over idle."""
+    for active in range(1, ranks + 1):
+        for inner in itertools.combinations(range(1, layers), active - 1):
+            edges = (0, *inner, *[layers] * (ranks + 1 - active))
+            if min(np.diff(edges[: active + 1])) >= WINDOW:
+                yield edges
+
+
+def contributions(layers, shape, real):
+    """(layers, window, *shape, 4) what each layer adds to its planes; the sum depends on its order in almost any place."""
+    random = np.random.default_rng(11)
+    values = random.standard_normal((layers, WINDOW, *shape, 4)) * 10.0 ** random.integers(
+        -6, 6, (layers, WINDOW, 1, 1, 1)
+    )
+    return values.astype(real)
+
+
+def ordered_sum(given, periodic):
+    """{plane: sum over layers in their order}; on a periodic axis planes one period apart are the same."""
+    planes = {}
+    for layer, window in enumerate(given):
+        for k, plane in enumerate(range(layer - LOW, layer + HIGH + 1)):
+            name = plane % len(given) if periodic else plane
+            planes[name] = planes.get(name, 0) + window[k]
+    return planes
+
+
+def halo_sum(given, grid, edges):
+    """The patch of this rank after the halo."""
+    slabs = Slabs(grid.layers, grid.periodic[grid.axes[0]], LOW, HIGH, edges)
+    first, last = slabs.owned(COMM.rank)
+    patch = Patch(grid, first, last, given.dtype.type)
+    halo = Halo(COMM, slabs, patch, WINDOW)
+    halo.clear()
+    fold_windows(given[first:last].copy(), 0, last - first, halo.targets, patch.nodes, halo.unsummed)
+    halo.finish(halo.start())
+    return patch
+
+
+def differing_planes(patch, expected, layers, periodic):
+    planes = range(patch.first_plane, patch.first_plane + patch.planes)
+    names = [plane % layers if periodic else plane for plane in planes]
+    return [name for name, own in zip(names, patch.nodes, strict=True) if own.tobytes() != expected[name].tobytes()]
+
+
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+@pytest.mark.parametrize("periodic", [False, True], ids=["walls", "periodic"])
+@pytest.mark.parametrize("grid", GRIDS)
+def test_every_plane_of_every_rank_holds_the_ordered_sum_for_all_cuts(grid, periodic, real):
+    grid = geometry(grid, periodic)
+    given = contributions(grid.layers, grid.plane_shape, real)
+    expected = ordered_sum(given, periodic)
+    wrong = {}
+    for edges in edges_of_all_cuts(grid.layers, COMM.size):
+        wrong[edges] = differing_planes(halo_sum(given, grid, edges), expected, grid.layers, periodic)
+    assert all(not found for rank in COMM.gather(wrong) for found in rank.values()), wrong
+
+
+def test_all_cuts_are_as_many_as_there_should_be():
+    assert len(list(edges_of_all_cuts(CELLS, 3))) == 1 + (CELLS - 2 * WINDOW + 1) + 6
+
+
+def test_the_contributions_tell_orders_apart():
+    given = contributions(CELLS, (1, 3), np.float64)
+    backwards = ordered_sum(given[::-1, ::-1], False)
+    forwards = ordered_sum(given, False)
+    assert any(forwards[plane].tobytes() != backwards[CELLS - 1 - plane].tobytes() for plane in range(CELLS))
+
+
+@pytest.mark.parametrize("periodic", [False, True], ids=["walls", "periodic"])
+def test_a_second_step_begins_from_nothing(periodic):
+    grid = geometry("x in 2-D", periodic)
+    given = contributions(grid.layers, grid.plane_shape, np.float64)
+    edges = max(edges_of_all_cuts(grid.layers, COMM.size), key=lambda edges: len(set(edges)))
+    slabs = Slabs(grid.layers, periodic, LOW, HIGH, edges)
+    first, last = slabs.owned(COMM.rank)
+    patch = Patch(grid, first, last, np.float64)
+    halo = Halo(COMM, slabs, patch, WINDOW)
+    found = []
+    for _ in range(2):
+        patch.nodes[:] = 0
+        halo.clear()
+        fold_windows(given[first:last].copy(), 0, last - first, halo.targets, patch.nodes, halo.unsummed)
+        halo.finish(halo.start())
+        found.append(patch.nodes.tobytes())
+    assert COMM.gather(found[0]) == COMM.gather(found[1])
