@@ -76,6 +76,19 @@ def test_message_is_the_one_that_one_rank_gives(scene, field):
     assert same_but_for_the_rank(together, alone), f"{together}\n{alone}"
 
 
+def test_message_is_the_one_of_one_rank_also_where_a_rank_meets_later_particles_first(scene):
+    """Layers at a cut wait for the halo: around this particle the first ones in order are the last ones to be updated."""
+    simulation = Simulation(scene, COMM)
+    simulation.run(steps=BEFORE)
+    slab = simulation.geometry.axes[0]
+    layer = np.floor(simulation.particles.x[:, slab] / scene.domain.cell_size + 0.5) - simulation.first_layer
+    ids = COMM.gather(simulation.particles.id[layer == 2][:1].tolist())[1]
+    together, _ = failure_after(COMM, scene, "v", ids, np.nan)
+    alone, _ = failure_after(None, scene, "v", ids, np.nan)
+    assert ids
+    assert same_but_for_the_rank(together, alone), f"{together}\n{alone}"
+
+
 def test_message_names_step_time_rank_particle_position_and_material(scene):
     named = MESSAGE.fullmatch(failure_after(COMM, scene, "v", victims(scene)[1:2], np.nan)[0]).groupdict()
     simulation = Simulation(scene, COMM)
@@ -143,7 +156,7 @@ def test_leaving_through_a_free_face_stops_all_ranks_with_the_message_of_one(fac
 def test_failure_is_found_before_anything_is_written_of_it(scene):
     simulation = Simulation(scene, COMM)
     seen = []
-    simulation.every(lambda run: seen.append(bool(np.isfinite(run.particles.v).all())), steps=3)
+    simulation.every(lambda run: seen.append(bool(np.isfinite(run.particles.v).all())), steps=2)
     simulation.run(steps=BEFORE)
     spoil(simulation, "v", victims(scene), np.nan)
     with pytest.raises(NumericalFailure):
