@@ -27,7 +27,7 @@ def as_toml(value):
     return json.dumps(value) if isinstance(value, list) else value
 
 
-def run(name, out, ranks=None, settings=None, options=(), limit=120, program=("-m", "pmpm")):
+def run(name, out, ranks=None, settings=None, options=(), limit=300, program=("-m", "pmpm")):
     """Run a built-in scene (a name) or a Scene into the folder `out`, all fields written; the finished process."""
     out = Path(out)
     out.parent.mkdir(parents=True, exist_ok=True)

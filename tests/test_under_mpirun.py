@@ -6,7 +6,7 @@ import launch
 import pytest
 from conftest import FOR_SEVERAL_RANKS
 
-LIMIT = 300
+LIMIT = 900
 
 
 @pytest.mark.timeout(LIMIT + 20)
