@@ -36,7 +36,7 @@ echo "parallel HDF5: environment ready after $((SECONDS - began)) s"
 # Open MPI refuses root and more ranks than cores unless told.
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
 export PYTHONPATH=$PWD OMP_NUM_THREADS=1
-mpirun=(mpirun.openmpi --bind-to none --oversubscribe)
+mpirun=(/usr/bin/mpirun.openmpi --bind-to none --oversubscribe)
 
 # Asserted inside mpirun: Debian's h5py is parallel only there, and without MPI every test below would be skipped unseen.
 "${mpirun[@]}" -n 2 "$venv/bin/python" -c '

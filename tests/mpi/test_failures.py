@@ -76,13 +76,13 @@ def test_message_is_the_one_that_one_rank_gives(scene, field):
     assert same_but_for_the_rank(together, alone), f"{together}\n{alone}"
 
 
-def test_message_is_the_one_of_one_rank_also_where_a_rank_meets_later_particles_first(scene):
-    """Layers at a cut wait for the halo: around this particle the first ones in order are the last ones to be updated."""
+def test_message_is_the_one_of_one_rank_also_where_a_rank_meets_later_particles_first():
+    """The first four layers after a cut wait for the halo: around a particle of the fifth, the later ones fail first."""
+    scene = several_laws.flat()
     simulation = Simulation(scene, COMM)
     simulation.run(steps=BEFORE)
-    slab = simulation.geometry.axes[0]
-    layer = np.floor(simulation.particles.x[:, slab] / scene.domain.cell_size + 0.5) - simulation.first_layer
-    ids = COMM.gather(simulation.particles.id[layer == 2][:1].tolist())[1]
+    layer = np.floor(simulation.particles.x[:, 0] / scene.domain.cell_size + 0.5) - simulation.first_layer
+    ids = COMM.gather(simulation.particles.id[layer == 4][:1].tolist())[1]
     together, _ = failure_after(COMM, scene, "v", ids, np.nan)
     alone, _ = failure_after(None, scene, "v", ids, np.nan)
     assert ids

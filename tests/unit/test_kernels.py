@@ -151,7 +151,7 @@ def test_a_second_start_compiles_nothing_and_an_edit_only_what_uses_it(tmp_path)
 
     first = run(tmp_path, package, cache, "first")
     kernels = first["kernels_compiled"]
-    assert kernels == 7  # P2G and G2P of two laws, fold, node update, separating wall
+    assert kernels == 9  # P2G and G2P of two laws, fold, gravity, division by mass, separating wall and its image
     assert first["kernels_loaded"] == 0
 
     second = run(tmp_path, package, cache, "second")
