@@ -129,9 +129,13 @@ def count_cache(kernels):
 
 
 def use_cache_folder():
-    """Let PMPM_CACHE_DIR say where compiled kernels are kept; call it before the first kernel is made."""
-    folder = os.environ.get("PMPM_CACHE_DIR")
-    if folder:
-        import numba
+    """Keep compiled kernels in PMPM_CACHE_DIR, or in the user's cache folder; call it before the first kernel is made.
 
-        numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]
+    Not beside the source, as numba would: an uninstalled package would leave them behind, and the folder they lie in would
+    then pass for an empty package. Where the folder cannot be written, numba looks for another place.
+    """
+    import numba
+
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    folder = os.environ.get("PMPM_CACHE_DIR") or os.path.join(home, "pmpm")
+    numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]

@@ -50,9 +50,7 @@ def compiled(simulation, names=("p2g 0", "g2p 0")):
 @pytest.fixture
 def uncached(tmp_path, monkeypatch):
     """Kernels compiled in this process: those loaded from the cache keep no LLVM text."""
-    import numba
-
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("PMPM_CACHE_DIR", str(tmp_path))
 
 
 def test_dam_break_holds_no_root_no_decomposition_and_no_deformation_gradient(uncached):
@@ -185,3 +183,16 @@ def test_a_function_that_closes_over_variables_is_refused():
 
     with pytest.raises(TypeError, match="doubled must not close over variables"):
         targets.plain().compile(doubled)
+
+
+def test_compiled_kernels_lie_outside_the_package(tmp_path):
+    """Left behind beside the source, they would make an uninstalled package look like an empty one."""
+    package = tmp_path / "copy" / "pmpm"
+    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "both.toml").write_text(scene({"water": WATER}).to_toml(), encoding="utf-8")
+    environment = os.environ | {"PYTHONPATH": str(package.parent), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    environment.pop("PMPM_CACHE_DIR", None)
+    command = [sys.executable, "-m", "pmpm", "run", "both.toml", "--steps", "2", "--quiet"]
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=240)
+    assert list((tmp_path / "cache" / "pmpm").rglob("*.nbi"))
+    assert not list(package.rglob("*.nbi"))
