@@ -59,8 +59,8 @@ def law_table(scene, law):
 def domain_limits(scene, geometry, real):
     """(limits, edges): first and last centre node a particle may have along each axis, and how far beyond them in cells.
 
-    Rules of a wall act on the nodes at and beyond it; a quadratic stencil then keeps every particle within half a cell of
-    the wall. Through a free face nothing holds it: it may not pass at all. Periodic axes allow the padding.
+    Walls hold the material back; what has passed one by more than half a cell has left. Through a free face nothing holds
+    it: it may not pass at all. Periodic axes allow the padding.
     """
     limits = np.zeros((geometry.dim, 2), np.int64)
     edges = np.zeros((geometry.dim, 2), real)
