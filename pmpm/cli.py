@@ -102,15 +102,26 @@ def add_scene(command_parser):
     command_parser.add_argument("--precision", choices=("float32", "float64"), help="of particles and grid")
 
 
-def read_scene(options):
-    """The scene of the command line, with its overrides."""
+def read_scene(options, comm):
+    """The scene of the command line, with its overrides; read by rank 0, the same for all."""
     from pmpm.scene import files
+    from pmpm.scene.errors import SceneError
     from pmpm.scene.schema import Scene
 
     settings = dict(files.parse_setting(text) for text in options.set)
     if options.precision:
         settings["method.precision"] = options.precision
-    return Scene.from_toml(files.find_scene(options.scene), settings)
+    path = text = problem = None
+    if comm.rank == 0:
+        try:
+            path = files.find_scene(options.scene)
+            text = files.read_text(path)
+        except SceneError as error:
+            problem = str(error)
+    path, text, problem = comm.broadcast((path, text, problem))
+    if problem:
+        raise SceneError(problem)
+    return Scene.from_text(text, str(path), settings)
 
 
 def run(options, comm):
@@ -128,7 +139,7 @@ def run(options, comm):
     for value, name in ((options.until, "--until"), (options.steps, "--steps")):
         if value is not None and not value > 0:
             raise SceneError(f"{name} {value}: must be greater than 0")
-    scene = read_scene(options)
+    scene = read_scene(options, comm)
 
     from pmpm.failure import NumericalFailure
     from pmpm.run import run_scene
@@ -144,7 +155,7 @@ def run(options, comm):
 
 
 def check(options, comm):
-    scene = read_scene(options)
+    scene = read_scene(options, comm)
     from pmpm.explain import explain
 
     text = explain(scene, max(comm.size, 1))
