@@ -9,7 +9,6 @@ from pmpm.scene import seeding
 from pmpm.scene.errors import SceneError
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
-from pmpm.state.particles import LANES
 from pmpm.timestep import MOVE
 
 
@@ -26,7 +25,7 @@ def explain(scene, ranks):
     total = int(counts.sum())
     real_bytes = np.dtype(needs.precision).itemsize
     layouts = [Layout.of(law, scene.dim) for law in needs.laws]
-    per_particle = max(layout.size for layout in layouts) * real_bytes + 12 + 8 / LANES
+    per_particle = max(layout.size for layout in layouts) * real_bytes + 8
     nodes = math.prod(geometry.extent(axis) for axis in range(scene.dim))
     dt = estimated_step(scene, needs, [law_table(scene, law) for law in needs.laws])
     steps = math.ceil(scene.time.end / dt)

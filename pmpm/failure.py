@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pmpm.kernels import cpu
+from pmpm.kernels import loops
 from pmpm.state.fields import COMMON
 
 
@@ -37,10 +37,10 @@ def message(record):
     """One line a user can act on."""
     finite = all(math.isfinite(value) for value in record["velocity"])
     causes = {
-        cpu.CAUSE_POSITION: "it moved further in a few steps than the padding of its slab allows: the time step is too "
+        loops.CAUSE_POSITION: "it moved further in a few steps than the padding of its slab allows: the time step is too "
         "long" if finite else "its velocity is not a number",
-        cpu.CAUSE_STATE: f"its state is no longer valid: {record['state']}",
-        cpu.CAUSE_LEFT: "it left the domain",
+        loops.CAUSE_STATE: f"its state is no longer valid: {record['state']}",
+        loops.CAUSE_LEFT: "it left the domain",
     }  # fmt: skip
     position = ", ".join(f"{value:.6g}" for value in record["position"])
     return (

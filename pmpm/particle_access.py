@@ -34,16 +34,22 @@ class Particles:
             self.check_inside(values)
         in_order = np.empty_like(values)
         in_order[readout.order(simulation)] = values
-        first = 0
+        first, moved = 0, []
         for population, layout in zip(simulation.populations, simulation.layouts, strict=True):
             rows = in_order[first : first + len(population)]
             first += len(population)
             if name == "x":
-                node = population.unpack(simulation.geometry.axes).node
-                population.set_rows(layout.where("x"), rows / simulation.geometry.cell_size - node)
+                moved.append(self.moved_to(population, rows))
             elif layout.where(name) is not None:
                 population.set_rows(layout.where(name), rows)
-        simulation.changed_by_hand(moved=name == "x")
+        simulation.changed_by_hand(moved if name == "x" else None)
+
+    def moved_to(self, population, x):
+        """A population as a Cloud at positions x (n, dim) in m."""
+        geometry = self.simulation.geometry
+        cells = x / geometry.cell_size
+        node = np.floor(cells + geometry.stencil.round)
+        return population.at(node, self.simulation.needs.places.from_cells(cells - node))
 
     def check_inside(self, x):
         """Raise ValueError, on all ranks, if any rank's positions (n, dim) in m are not numbers or beyond the walls."""

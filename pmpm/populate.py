@@ -33,12 +33,13 @@ def cloud(simulation, law, seeds):
             continue
         count = len(body_seeds.id)
         reals = np.zeros((count, layout.size), simulation.real)
-        reals[:, : simulation.dim] = body_seeds.offset
         reals[:, layout.where("v")] = body.velocity
         reals[:, layout.state_first :] = layout.rest_state()
         if body.pressure == "hydrostatic":
             reals[:, layout.state_first :] = hydrostatic_state(simulation, law, number, body_seeds)
-        parts.append(Cloud(reals, body_seeds.node, np.full(count, number, np.int32), body_seeds.id))
+        seeded = Cloud(reals, body_seeds.node, np.full(count, number, np.int32), body_seeds.id)
+        seeded.places[:, : simulation.dim] = simulation.needs.places.from_cells(body_seeds.offset)
+        parts.append(seeded)
     return Cloud.join([Cloud.empty(layout.size, simulation.dim, simulation.real), *parts])
 
 

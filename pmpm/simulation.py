@@ -17,10 +17,13 @@ import numpy as np
 
 from pmpm import failure, populate, readout
 from pmpm.failure import NumericalFailure
-from pmpm.kernels import build, cpu, targets
+from pmpm.kernels import build, targets
+from pmpm.kernels.lanes import WIDTH
+from pmpm.kernels.loops import EMPTY_BOX, FARTHEST, SETTLED
+from pmpm.kernels.places import TRAVEL
 from pmpm.parallel import comm as communication
 from pmpm.parallel.halo import Halo
-from pmpm.parallel.regroup import migrate, settle
+from pmpm.parallel.regroup import migrate
 from pmpm.parallel.slabs import Slabs, cut_evenly, room
 from pmpm.particle_access import Particles
 from pmpm.scene import seeding
@@ -29,7 +32,7 @@ from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_wall
 from pmpm.state.derived import PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
 from pmpm.state.grid import Patch
-from pmpm.state.particles import Population
+from pmpm.state.particles import Loose, Population, assemble
 from pmpm.timestep import StepControl
 from pmpm.watching import Observer, Timers, spread
 
@@ -51,7 +54,11 @@ class Simulation:
         self.tables = [law_table(scene, law) for law in self.needs.laws]
         self.kernel_tables = [table.astype(self.real) for table in self.tables]
         self.gravity = np.array(scene.domain.gravity)
-        self.limits, self.edges = domain_limits(scene, self.geometry, self.real)
+        self.has_gravity = bool(self.gravity.any())
+        self.gravity_row = np.tile(np.append(self.gravity, np.zeros(4 - self.dim)), WIDTH // 4).astype(self.real)
+        self.dx, self.inv_dx = self.real(scene.domain.cell_size), self.real(1.0 / scene.domain.cell_size)
+        self.wraps = any(self.geometry.periodic[axis] for axis in self.geometry.axes[1:] if axis >= 0)
+        self.limits, self.ends = domain_limits(scene, self.geometry)
         self.time, self.step_count = 0.0, 0
         self.observers: list[Observer] = []
         self.failed: list[tuple[int, int, int, int]] = []  # (law, block, lane, cause) in this step, first of each range
@@ -61,14 +68,16 @@ class Simulation:
         self.kernels = build.build(self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables])
 
         self.cut(cut_evenly(populate.count_per_layer(self), self.comm.size, self.needs.stencil.window))
+        self.warm_up()
         seeds = seeding.seed(self.scene, self.geometry, self.first_layer, self.last_layer)
-        self.settle_in([populate.cloud(self, law, seeds) for law in range(len(self.needs.laws))])
-        settled_drift = max(self.needs.stencil.round, 1.0 - self.needs.stencil.round)
-        self.control = StepControl(self.comm, scene.time, scene.domain.cell_size, self.dim, cpu.FARTHEST, settled_drift)
+        seeded = [Loose.of_rows(populate.cloud(self, law, seeds)) for law in range(len(self.needs.laws))]
+        self.settle_in(seeded, [None] * len(seeded))
+        self.control = StepControl(
+            self.comm, scene.time, scene.domain.cell_size, self.dim, FARTHEST / 64, SETTLED / 64, TRAVEL
+        )
         self.control.begin(self.step_count, *self.fastest())
         self.check_fixed_step(SceneError)
         self.dt = self.control.choose(self.time)  # of the step just taken; before the first, of the one to come
-        self.warm_up()
         self.first_energy = 0.0
         self.take_energy()
 
@@ -82,17 +91,23 @@ class Simulation:
             self.geometry.layers, self.geometry.periodic[slab_axis], stencil.reach_low, stencil.reach_high, edges
         )
         self.first_layer, self.last_layer = self.slabs.owned(self.comm.rank)
-        self.patch = Patch(self.geometry, self.first_layer, self.last_layer, self.real)
-        self.halo = Halo(self.comm, self.slabs, self.patch, stencil.window)
+        self.patch = Patch(self.geometry, self.first_layer, self.last_layer, len(self.needs.laws), self.real)
+        self.halo = Halo(self.comm, self.slabs, self.patch, self.kernels)
         self.walls = patch_walls(self.scene, self.geometry, self.patch, self.real)
 
-    def settle_in(self, clouds):
-        """Order particles that lie in this rank's layers."""
+    def settle_in(self, loose, arrived):
+        """Order particles of each law that lie in this rank's layers: those at hand and (from lower, from higher ranks)."""
         layers = self.last_layer - self.first_layer
-        self.populations = [
-            Population.pack(cloud, self.geometry.axes, self.first_layer, layers, self.pad_values(layout))
-            for cloud, layout in zip(clouds, self.layouts, strict=True)
-        ]
+        self.populations = []
+        for particles, arrivals, layout in zip(loose, arrived, self.layouts, strict=True):
+            nothing = particles.take(np.zeros(0, np.int64))
+            before, after = arrivals or (nothing, nothing)
+            self.populations.append(
+                assemble(
+                    particles, before, after, self.geometry, self.kernels, self.first_layer, layers,
+                    len(self.scene.bodies), self.pad_values(layout),
+                )  # fmt: skip
+            )
 
     def pad_values(self, layout):
         values = np.zeros(layout.size, self.real)
@@ -103,18 +118,23 @@ class Simulation:
         """Compile or load every kernel by calling it on nothing: rank 0 first, so that the others find its cache."""
         began = clock.perf_counter()
         self.tell("preparing kernels (compiled once, then kept on disk)")
+        layers = self.last_layer - self.first_layer
+        self.populations = [
+            Population.empty(layout.size, layers, self.first_layer, self.real) for layout in self.layouts
+        ]
         for turn in (self.comm.rank == 0, self.comm.rank != 0):
             if turn:
-                self.p2g(0, 0)
-                self.kernels.fold_windows(
-                    self.patch.windows, 0, 0, self.halo.targets, self.patch.nodes, self.halo.unsummed
-                )
-                self.update_planes(0, 0)
+                loose = [Loose.of(population, self.geometry, self.kernels) for population in self.populations]
+                self.settle_in(loose, [None] * len(loose))
+                self.scatter(0, 0, 0.0)
+                self.update_planes(0, 0, 0.0)
                 self.g2p(0, 0, self.real(0), np.zeros(4))
+                self.halo.warm_up()
                 nothing, normal, none = (0,) * 9, np.zeros(self.dim, self.real), self.real(0)
+                nodes, boxes = self.patch.nodes, self.patch.boxes
                 for wall, image in zip(self.kernels.walls.values(), self.kernels.images.values(), strict=True):
-                    wall(self.patch.nodes, *nothing, normal, none)
-                    image(self.patch.nodes, *nothing, normal)
+                    wall(nodes, boxes, *nothing, normal, none)
+                    image(nodes, boxes, *nothing, normal)
             self.comm.barrier()
         self.timers.add("compile", began)
 
@@ -127,10 +147,10 @@ class Simulation:
             wave = max(wave, float(waves[np.isfinite(waves)].max(initial=0.0)))
         return speed, wave
 
-    def changed_by_hand(self, moved):
-        """Take note that someone has written to the particles; `moved`: to their positions. Collective."""
-        if moved:
-            self.regroup()
+    def changed_by_hand(self, moved=None):
+        """Take note that someone has written to the particles; `moved`: all of them, per law, at new places. Collective."""
+        if moved is not None:
+            self.regroup(loose=[Loose.of_rows(cloud) for cloud in moved])
         self.control.begin(self.step_count, *self.fastest())
         self.take_energy()
 
@@ -168,16 +188,8 @@ class Simulation:
         extremes = np.zeros(4)
         extremes[3] = -math.inf
         self.failed.clear()
-        self.patch.nodes[:] = 0
-        self.halo.clear()
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
-        chunk = len(self.patch.windows)
-        for first in range(0, layers, chunk):
-            last = min(first + chunk, layers)
-            self.p2g(first, last, dt)
-            self.kernels.fold_windows(
-                self.patch.windows, first, last, self.halo.targets, self.patch.nodes, self.halo.unsummed
-            )
+        self.scatter(0, layers, dt)
         now = self.timers.add("p2g", now)
         posted = self.halo.start()
         now = self.timers.add("halo", now)
@@ -185,10 +197,12 @@ class Simulation:
         shared = self.needs.stencil.window - 1
         low, high = shared * self.halo.low_shared, shared * self.halo.high_shared
         inner = (low, max(low, layers - high))
+        self.widen_boxes()
         self.update_planes(low, planes - high, dt)
         self.g2p(*inner, dt, extremes)
         now = self.timers.add("g2p", now)
         self.halo.finish(posted)
+        self.widen_boxes()
         now = self.timers.add("halo", now)
         self.update_planes(0, min(low, planes), dt)
         self.update_planes(max(planes - high, 0), planes, dt)
@@ -201,27 +215,46 @@ class Simulation:
         self.control.start(self.step_count + 1, float(dt), extremes)
         self.timers.add("g2p", now)
 
-    def p2g(self, first, last, dt=0.0):
-        dx, inv_dx = self.real(self.geometry.cell_size), self.real(1.0 / self.geometry.cell_size)
-        for kernel, p, table in zip(self.kernels.p2g, self.populations, self.kernel_tables, strict=True):
-            kernel(
-                p.reals, p.home, p.block_row, p.block_count, p.layer_start, first, last, table,
-                self.patch.windows, self.real(dt), dx, inv_dx,
-            )  # fmt: skip
+    def scatter(self, first, last, dt):
+        """Particles of layers first .. last - 1 (this rank's counting) to nodes; forgets what the nodes held."""
+        patch, halo, kernels = self.patch, self.halo, self.kernels
+        kernels.clear(patch.nodes, patch.boxes)
+        patch.layer_boxes[:] = EMPTY_BOX
+        for begin in range(first, max(last, first + 1), patch.chunk):
+            end = min(begin + patch.chunk, last)
+            for number, (kernel, p) in enumerate(zip(kernels.p2g, self.populations, strict=True)):
+                kernel(
+                    p.reals, p.places, p.segments, p.layer_start, begin, end, self.kernel_tables[number], patch.windows,
+                    patch.layer_boxes, number == len(kernels.p2g) - 1, halo.targets, patch.nodes, patch.boxes,
+                    halo.unsummed, halo.slot_boxes, kernels.scratch, kernels.first_nodes, kernels.constants,
+                    self.real(dt), self.dx, self.inv_dx,
+                )  # fmt: skip
 
-    def update_planes(self, first, last, dt=0.0):
+    def update_planes(self, first, last, dt):
         """Momentum to velocity, gravity and walls on planes first .. last - 1 of the patch."""
-        nodes = self.patch.nodes
-        if first < last:
+        nodes, boxes = self.patch.nodes, self.patch.boxes
+        if self.wraps and first < last:
             self.wrap_planes(nodes[first:last])
-        if self.gravity.any():
-            self.kernels.add_gravity(nodes, first, last, (self.gravity * float(dt)).astype(self.real))
+        if self.has_gravity:
+            self.kernels.add_gravity(nodes, boxes, first, last, self.gravity_row * self.real(dt))
         here = [(wall, wall.clipped(first, last)) for wall in self.walls]
         for wall, box in here:
-            self.kernels.walls[wall.type](nodes, *box, *wall.step, wall.normal, wall.coefficient)
-        self.kernels.divide_by_mass(nodes, first, last)
+            self.kernels.walls[wall.type](nodes, boxes, *box, *wall.step, wall.normal, wall.coefficient)
+        self.kernels.divide_by_mass(nodes, boxes, first, last)
         for wall, box in here:
-            self.kernels.images[wall.type](nodes, *box, *wall.step, wall.normal)
+            self.kernels.images[wall.type](nodes, boxes, *box, *wall.step, wall.normal)
+
+    def widen_boxes(self):
+        """Where an axis other than the slab axis repeats, what lies near one end also lies near the other."""
+        if not self.wraps:
+            return
+        boxes, shape = self.patch.boxes, self.geometry.plane_shape
+        shared = self.needs.stencil.window - 1
+        for column, axis, extent in ((0, self.geometry.axes[1], shape[0]), (2, self.geometry.axes[2], shape[1] - 4)):
+            if axis >= 0 and self.geometry.periodic[axis]:
+                held = boxes[:, column] < boxes[:, column + 1]
+                near = (boxes[:, column] < shared) | (boxes[:, column + 1] > self.geometry.cells[axis])
+                boxes[held & near, column], boxes[held & near, column + 1] = 0, extent
 
     def wrap_planes(self, planes):
         """Sum the images of a periodic axis other than the slab axis; both images then hold the total."""
@@ -236,31 +269,32 @@ class Simulation:
 
     def g2p(self, first, last, dt, extremes):
         """Nodes to particles of layers first .. last - 1 (this rank's counting); maxima go into `extremes`."""
-        dx, inv_dx = self.real(self.geometry.cell_size), self.real(1.0 / self.geometry.cell_size)
-        failure = np.zeros(3, np.int64)
+        failure, kernels = np.zeros(3, np.int64), self.kernels
         for number, (kernel, p) in enumerate(zip(self.kernels.g2p, self.populations, strict=True)):
             found = kernel(
-                p.reals, p.home, p.block_row, p.block_count, p.layer_start, first, last, self.kernel_tables[number],
-                self.patch.nodes, self.first_layer, self.limits, self.edges, dt, dx, inv_dx, failure,
+                p.reals, p.places, p.segments, p.layer_start, first, last, self.kernel_tables[number], self.patch.nodes,
+                self.first_layer, self.limits, self.ends, kernels.scratch, kernels.first_nodes, kernels.constants, dt,
+                self.dx, self.inv_dx, failure,
             )  # fmt: skip
             np.maximum(extremes[:3], found, out=extremes[:3])
             if failure[0]:
                 cause, block, lane = map(int, failure)
                 self.failed.append((number, block, lane, cause))
 
-    def regroup(self, edges=None):
+    def regroup(self, edges=None, loose=None):
         """Migration, sorting and new cuts (if `edges` are given) in one event: every particle joins the layer it lies in.
 
-        Results do not depend on the cuts. Raises ValueError, and changes nothing, for edges that are no slabs of all ranks.
+        `loose`: take these particles instead of those at hand. Results do not depend on the cuts. Raises ValueError, and
+        changes nothing, for edges that are no slabs of all ranks.
         """
         began = clock.perf_counter()
         if edges is not None and len(edges) != self.comm.size + 1:
             raise ValueError(f"edges {edges}: {self.comm.size} ranks need {self.comm.size + 1} of them")
-        clouds = [settle(population.unpack(self.geometry.axes), self.geometry) for population in self.populations]
         if edges is not None:
             self.cut(tuple(map(int, edges)))
-        clouds, sent = migrate(clouds, self.geometry.axes[0], self.slabs, self.comm)
-        self.settle_in(clouds)
+        loose = loose or [Loose.of(population, self.geometry, self.kernels) for population in self.populations]
+        arrived, sent = migrate(loose, self.geometry.axes[0], self.slabs, self.comm)
+        self.settle_in(loose, arrived)
         self.control.regrouped(self.step_count)
         self.regroups += 1
         self.sent += sent

@@ -31,10 +31,10 @@ class Pending:
 class StepControl:
     """Chooses dt and says when a regroup is due; the same decisions on every rank."""
 
-    def __init__(self, comm, time, cell_size, dim, farthest, settled_drift):
+    def __init__(self, comm, time, cell_size, dim, farthest, settled_drift, most_travel):
         self.comm, self.cell_size, self.dim = comm, cell_size, dim
         self.cfl, self.fixed_step, self.end = time.cfl, time.step, time.end
-        self.farthest, self.settled_drift = farthest, settled_drift
+        self.farthest, self.settled_drift, self.most_travel = farthest, settled_drift, most_travel
         self.pending: deque[Pending] = deque()
         self.travel = 0.0
         self.regrouped(0)
@@ -71,12 +71,15 @@ class StepControl:
         return MARGIN * self.speed * dt / self.cell_size
 
     def regroup_due(self, dt):
-        """Whether a particle might leave its layer's padded planes in the next step."""
-        return self.drift + (self.travel - self.drift_travel) + self.move_bound(dt) > self.farthest
+        """Whether a particle might leave its layer's padded planes, or its place overflow, in the next step."""
+        coming = self.travel + self.move_bound(dt)
+        drifts_out = self.drift + coming - self.drift_travel > self.farthest
+        return drifts_out or coming - self.regroup_travel > self.most_travel
 
     def regrouped(self, step):
         """Every particle is at most half a cell from its home again."""
-        self.regroup_step, self.drift, self.drift_travel = step, self.settled_drift, self.travel
+        self.regroup_step, self.drift = step, self.settled_drift
+        self.drift_travel = self.regroup_travel = self.travel
 
     def start(self, step, dt, values):
         """Begin the reduction of what step number `step` found."""

@@ -1,12 +1,15 @@
-"""The compiled kernels of a scene: cpu.py's loops with the scene's constants, one entry per law and phase."""
+"""The compiled kernels of a scene: the loops with the scene's constants, one entry per law and phase."""
 
+import os
+import platform
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pmpm.kernels import cpu, targets
-from pmpm.physics import boundary, bspline
+from pmpm.kernels import lane_loops, loops, scalar_loops, sorting, targets
+from pmpm.kernels.lanes import WIDTH
+from pmpm.physics import boundary
 
 # Of each type of wall: rule on its nodes, image beyond it, whether it holds material on both ways.
 WALLS = {
@@ -15,97 +18,187 @@ WALLS = {
     "separate": (boundary.wall_separate, boundary.image_mirrored, False),
     "friction": (boundary.wall_friction, boundary.image_mirrored, False),
 }
+PER_SCENE = ("clear", "pack", "take_planes", "add_planes", "add_gravity", "divide_by_mass")
+PER_PLACES = ("loosen", "fasten", "permute")
+SORTING = ("cell_order", "cut_segments")
+VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """Entry kernels: p2g and g2p per law, the others per scene; `walls` and `images` by wall type."""
+    """Entry kernels: p2g and g2p per law, `shared` by name, walls and images by wall type; and what the lanes work in."""
 
     p2g: tuple[Any, ...]
     g2p: tuple[Any, ...]
-    fold_windows: Any
-    add_gravity: Any
-    divide_by_mass: Any
+    shared: dict[str, Any]
     walls: dict[str, Any]
     images: dict[str, Any]
+    scratch: np.ndarray
+    first_nodes: np.ndarray
+    constants: np.ndarray
+
+    def __getattr__(self, name):
+        try:
+            return self.shared[name]
+        except KeyError:
+            raise AttributeError(name) from None
 
     @property
     def entries(self):
         return {
             **{f"p2g {i}": kernel for i, kernel in enumerate(self.p2g)},
             **{f"g2p {i}": kernel for i, kernel in enumerate(self.g2p)},
-            "fold_windows": self.fold_windows,
-            "add_gravity": self.add_gravity,
-            "divide_by_mass": self.divide_by_mass,
+            **self.shared,
             **{f"wall {name}": kernel for name, kernel in self.walls.items()},
             **{f"image {name}": kernel for name, kernel in self.images.items()},
         }
 
 
+def default_loops():
+    """`lanes`, or `scalar` on machines whose vectors nobody has tried; PMPM_LOOPS overrules."""
+    return os.environ.get("PMPM_LOOPS") or ("lanes" if platform.machine().lower() in VECTOR_MACHINES else "scalar")
+
+
+def aligned(count, dtype):
+    """Zeros on a 64-byte boundary."""
+    room = np.zeros(count * np.dtype(dtype).itemsize + 64, np.uint8)
+    first = -room.ctypes.data % 64
+    return room[first : first + count * np.dtype(dtype).itemsize].view(dtype)
+
+
+def row_constants(stencil, real):
+    """What a row of four nodes is computed from: distances, then powers 0 .. 3 of weights and slopes, node by node.
+
+    The powers come out of the physics itself, by calling it with the polynomial g.
+    """
+    from numpy.polynomial import Polynomial
+
+    table = np.zeros((1 + 4 + 4, 4))
+    table[0] = np.arange(4.0) - stencil.low
+    for first, function in ((1, stencil.weights), (5, stencil.slopes)):
+        for node, polynomial in enumerate(function(Polynomial([0.0, 1.0]))):
+            table[first : first + len(polynomial.coef), node] = polynomial.coef
+    constants = aligned(lane_loops.CONSTANTS, real)
+    constants[:] = np.repeat(table.ravel(), 4)
+    return constants
+
+
 def scene_choices(needs):
     """Constants and functions that depend on the scene but not on the law."""
     slab, middle, row = needs.axes
-    stencil, two = needs.stencil, needs.dim == 2
+    stencil, two, places = needs.stencil, needs.dim == 2, needs.places
     vector, matrix = needs.dim, needs.dim * needs.dim
     return {
         "la": needs.tensors,
+        "integer": places.integer.type,
         "DIMENSIONS": needs.dim,
         "SLAB": slab,
         "MIDDLE": middle,
         "ROW": row,
         "NODES": stencil.nodes,
         "MIDDLE_NODES": 1 if two else stencil.nodes,
-        "ROUND": stencil.round,
         "INERTIA": stencil.inertia,
-        "OFFSETS": tuple(float(n - stencil.low) for n in range(stencil.nodes)),
+        "OFFSETS": stencil.offsets,
+        "FRACTION": places.fraction,
+        "HALF": int(stencil.round * 2**places.fraction),
+        "CENTRE": int((0.5 - stencil.round) * 2**places.fraction),
+        "UNIT": places.unit,
+        "ONE_CELL": 2.0**places.fraction,
         "MLS": needs.transfer == "mls",
+        "PERIODIC_MIDDLE": not two and needs.periodic[middle],
+        "PERIODIC_ROW": needs.periodic[row],
         "V_FIELD": vector,
         "C_FIELD": 2 * vector,
         "STATE_FIELD": 2 * vector + matrix,
-        "weights": bspline.weights_quadratic,
-        "slopes": bspline.slopes_quadratic,
-        "load_vector": cpu.LOADS[vector],
-        "load_matrix": cpu.LOADS[matrix],
-        "load_normal": cpu.normal_2 if two else cpu.normal_3,
-        "centres": cpu.centres_2 if two else cpu.centres_3,
-        "along_axes": cpu.along_axes_2 if two else cpu.along_axes_3,
-        "stencil_node": cpu.stencil_node_2 if two else cpu.stencil_node_3,
-        "momentum_at": cpu.momentum_2 if two else cpu.momentum_3,
+        "weights": stencil.weights,
+        "slopes": stencil.slopes,
+        "load_normal": loops.normal_2 if two else loops.normal_3,
+        "momentum_at": loops.momentum_2 if two else loops.momentum_3,
     }
 
 
-def law_choices(law, layout, parameter_count):
+def scalar_choices(needs):
+    """What the scalar loops take besides."""
+    two = needs.dim == 2
+    return {
+        "load_vector": scalar_loops.FIELD_TUPLES[needs.dim],
+        "load_matrix": scalar_loops.FIELD_TUPLES[needs.dim**2],
+        "along_axes": scalar_loops.along_axes_2 if two else scalar_loops.along_axes_3,
+        "stencil_node": scalar_loops.stencil_node_2 if two else scalar_loops.stencil_node_3,
+        "node_of_segment": scalar_loops.node_of_segment_2 if two else scalar_loops.node_of_segment_3,
+    }
+
+
+def lane_choices(needs):
+    """What the loops on lanes take besides."""
+    two, n = needs.dim == 2, needs.stencil.nodes
+    group = {needs.axes[0]: 1, needs.axes[1]: 2, needs.axes[2]: 3}
+    by_nodes = {name: getattr(lane_loops, f"{name}_{n}") for name in ("moments", "row_weights", "add_particle", "flush")}
+    across = 1 if two else n
+    by_middle = {name: getattr(lane_loops, f"{name}_{across}") for name in ("add_slab", "flush_slab", "gather_slab")}
+    by_dimension = {
+        name: getattr(lane_loops, f"{name}_{needs.dim}") for name in ("store_column", "store_constant", "vector", "matrix")
+    }
+    return {
+        "load_vector": lane_loops.FIELD_TUPLES[needs.dim],
+        "load_matrix": lane_loops.FIELD_TUPLES[needs.dim**2],
+        "empty_stencil": getattr(lane_loops, f"stencil_{n}"),
+        "middle_rows": getattr(lane_loops, f"rows_{across}"),
+        "gather_slabs": getattr(lane_loops, f"gather_slabs_{n}"),
+        "GROUP": (group[0], group[1], group.get(2, 0)),
+        "store_column": by_dimension["store_column"],
+        "store_constant": by_dimension["store_constant"],
+        "vector_of": by_dimension["vector"],
+        "matrix_of": by_dimension["matrix"],
+        **by_nodes,
+        **by_middle,
+    }
+
+
+def law_choices(law, layout, parameter_count, tuples):
     """Constants and functions of one law."""
-    state_size = layout.size - layout.state_first
     return dict(law.choices) | {
         "law": law.module,
-        "load_state": cpu.LOADS[state_size],
-        "load_parameters": cpu.ROWS[parameter_count],
+        "FIELDS": layout.size,
+        "load_state": tuples[layout.size - layout.state_first],
+        "load_parameters": loops.ROWS[parameter_count],
     }
 
 
-def build(needs, layouts, parameter_counts):
-    """Kernels for these needs, not compiled yet: numba compiles at the first call. Layouts and counts are per law."""
+def build(needs, layouts, parameter_counts, kind=None):
+    """Kernels for these needs, not compiled yet: numba compiles at the first call. Layouts and counts are per law.
+
+    kind: "lanes" or "scalar"; the default is the faster one of this machine.
+    """
     targets.use_cache_folder()
     real = np.dtype(needs.precision).type
+    module = {"lanes": lane_loops, "scalar": scalar_loops}[kind or default_loops()]
+    make = targets.lanes if module is lane_loops else targets.scalar
+    own = lane_choices(needs) if module is lane_loops else scalar_choices(needs)
     scene = scene_choices(needs)
     general = targets.scalar(real, **scene)
     p2g, g2p = [], []
     for law, layout, count in zip(needs.laws, layouts, parameter_counts, strict=True):
-        target = targets.scalar(real, **scene, **law_choices(law, layout, count))
-        p2g.append(target.entry(cpu.p2g))
-        g2p.append(target.entry(cpu.g2p))
+        target = make(real, **scene, **own, **law_choices(law, layout, count, module.FIELD_TUPLES))
+        p2g.append(target.entry(module.p2g))
+        g2p.append(target.entry(module.g2p))
     walls, images = {}, {}
     for name in sorted(set(needs.wall_types) & set(WALLS)):
         wall, image, two_sided = WALLS[name]
         target = targets.scalar(real, **scene, wall=wall, image=image, TWO_SIDED=two_sided)
-        walls[name], images[name] = target.entry(cpu.apply_wall), target.entry(cpu.fill_beyond_wall)
+        walls[name], images[name] = target.entry(loops.apply_wall), target.entry(loops.fill_beyond_wall)
+    shared = {name: general.entry(getattr(loops, name)) for name in PER_SCENE}
+    for_places = targets.scalar(real)
+    shared |= {name: for_places.entry(getattr(sorting, name)) for name in PER_PLACES}
+    for_orders = targets.scalar(np.float64)
+    shared |= {name: for_orders.entry(getattr(sorting, name)) for name in SORTING}
     return Kernels(
         tuple(p2g),
         tuple(g2p),
-        general.entry(cpu.fold_windows),
-        general.entry(cpu.add_gravity),
-        general.entry(cpu.divide_by_mass),
+        shared,
         walls,
         images,
+        aligned(lane_loops.SCRATCH, real),
+        aligned(WIDTH, np.int32),
+        row_constants(needs.stencil, real),
     )

@@ -1,7 +1,11 @@
 """What a scene asks of the kernels, in plain names and constants; never a scene itself."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
+from pmpm.kernels.places import FORMATS
 from pmpm.physics import bspline, tensors2, tensors3
 from pmpm.physics.materials import LAWS
 
@@ -16,6 +20,8 @@ class Stencil:
     low: int
     round: float
     inertia: float
+    weights: Callable
+    slopes: Callable
 
     @property
     def reach_low(self):
@@ -29,9 +35,30 @@ class Stencil:
     def window(self):
         return self.reach_low + self.reach_high + 1
 
+    @property
+    def offsets(self):
+        """Distances of the nodes from the centre node, in cells."""
+        return tuple(float(n - self.low) for n in range(self.nodes))
 
-QUADRATIC = Stencil(bspline.NODES_QUADRATIC, bspline.LOW_QUADRATIC, bspline.ROUND_QUADRATIC, bspline.INERTIA_QUADRATIC)
-STENCILS = {"quadratic": QUADRATIC}
+
+STENCILS = {
+    "quadratic": Stencil(
+        bspline.NODES_QUADRATIC,
+        bspline.LOW_QUADRATIC,
+        bspline.ROUND_QUADRATIC,
+        bspline.INERTIA_QUADRATIC,
+        bspline.weights_quadratic,
+        bspline.slopes_quadratic,
+    ),
+    "cubic": Stencil(
+        bspline.NODES_CUBIC,
+        bspline.LOW_CUBIC,
+        bspline.ROUND_CUBIC,
+        bspline.INERTIA_CUBIC,
+        bspline.weights_cubic,
+        bspline.slopes_cubic,
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -53,19 +80,25 @@ class LawNeeds:
 
 @dataclass(frozen=True)
 class Needs:
-    """Constants of a scene's kernels: dimension, precision, transfer, and which axis is cut into slabs."""
+    """Constants of a scene's kernels: dimension, precision, transfer, which axis is cut into slabs, which are periodic."""
 
     dim: int
     precision: str
     transfer: str
     shape_function: str
     slab_axis: int
+    periodic: tuple[bool, ...]
     laws: tuple[LawNeeds, ...]
     wall_types: tuple[str, ...]
 
     @property
     def stencil(self):
         return STENCILS[self.shape_function]
+
+    @property
+    def places(self):
+        """How positions are stored."""
+        return FORMATS[np.dtype(self.precision)]
 
     @property
     def tensors(self):

@@ -10,7 +10,9 @@ This is the one file that leans on numba's internals; pyproject.toml pins numba 
 """
 
 import hashlib
+import math
 import os
+from pathlib import Path
 from types import FunctionType, ModuleType
 
 import numpy as np
@@ -46,9 +48,13 @@ def bound_copy(function, mark, real, names):
 
 
 class Target:
-    """A way to compile: `label` and `real` (a numpy scalar type), `target_words`, `jit(function, is_entry)`, and choices."""
+    """A way to compile: `label` and `real` (a numpy scalar type), `target_words`, `jit(function, is_entry)`, and choices.
 
-    def __init__(self, label, real, target_words, jit, choices):
+    `sources`: fingerprint of everything else the result depends on.
+    """
+
+    def __init__(self, label, real, target_words, jit, choices, sources=""):
+        self.sources = sources
         self.label, self.real, self.jit = f"{label}_{np.dtype(real).name}", real, jit
         self.words = {
             name: in_precision(value, real)
@@ -69,7 +75,7 @@ class Target:
         key = function, is_entry
         if key not in self.compiled:
             code = function.__code__
-            names, marks = {}, [self.label, code.co_code.hex(), repr(code.co_consts), repr(function.__defaults__)]
+            names, marks = {}, [self.label, self.sources, code.co_code.hex(), repr(code.co_consts), repr(function.__defaults__)]
             for name in sorted(set(code.co_names)):
                 if name in self.words or name in function.__globals__:
                     names[name], mark = self.replace(name, function.__globals__.get(name), set(code.co_names))
@@ -96,16 +102,31 @@ class Target:
         return in_precision(value, self.real), getattr(value, "__qualname__", None) or repr(value)
 
 
-def scalar(real, **choices):
-    """Scalar numba on the CPU: the readable reference."""
+def jit(function, is_entry):
+    """Compile with numba: entry functions are kept on disk, the others become part of them."""
     import numba
 
-    def jit(function, is_entry):
-        if is_entry:
-            return numba.njit(function, error_model="numpy", fastmath=FAST, cache=True, nogil=True)
-        return numba.njit(function, error_model="numpy", fastmath=FAST, forceinline=True)
+    if is_entry:
+        return numba.njit(function, error_model="numpy", fastmath=FAST, cache=True, nogil=True)
+    return numba.njit(function, error_model="numpy", fastmath=FAST, forceinline=True)
 
-    return Target("scalar", real, {"floor": np.floor, "real": real}, jit, choices)
+
+def scalar(real, **choices):
+    """Scalar numba on the CPU: the readable reference."""
+    return Target("scalar", real, {"floor": np.floor, "real": real}, jit, choices, intrinsics())
+
+
+def intrinsics():
+    """Fingerprint of what the kernels reach that is not plain Python."""
+    return hashlib.sha256(Path(__file__).with_name("lanes.py").read_bytes()).hexdigest()
+
+
+def lanes(real, **choices):
+    """Numba on SIMD lanes: a value is a block of 16 particles."""
+    from pmpm.kernels import lanes as words_of_lanes
+
+    lane_words = {"where": words_of_lanes.where, "any_of": words_of_lanes.any_of, "floor": math.floor, "real": real}
+    return Target("lanes", real, lane_words, jit, choices, intrinsics())
 
 
 def arrays(real, **choices):

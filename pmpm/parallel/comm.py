@@ -24,10 +24,12 @@ class Alone:
     rank, size = 0, 1
 
     def start_exchange(self, sends, receives):
-        """Post messages: `sends` and `receives` are lists of (peer, tag, contiguous array). Finish with `finish`."""
+        """Post messages: `sends` and `receives` are lists of (peer, tag, contiguous array of bytes); an array to receive into
+        may be longer than what comes. Finish with `finish`."""
         waiting = {tag: array for _, tag, array in sends}
         for _, tag, array in receives:
-            np.copyto(array, waiting.pop(tag))
+            sent = waiting.pop(tag)
+            array[: len(sent)] = sent
 
     def finish(self, handle):
         """Wait for what `start_exchange` or `start_max` posted."""

@@ -5,42 +5,33 @@ import numpy as np
 from pmpm.state.particles import Cloud
 
 
-def settle(cloud, geometry):
-    """Make the node each particle is nearest to its home; wrap periodic axes. Exact: the offset changes by whole cells."""
-    dim = geometry.dim
-    steps = np.floor(cloud.reals[:, :dim] + cloud.reals.dtype.type(geometry.stencil.round))
-    cloud.reals[:, :dim] -= steps
-    cloud.node += steps.astype(np.int32)
-    for axis in range(dim):
-        if geometry.periodic[axis]:
-            cloud.node[:, axis] %= geometry.cells[axis]
-    return cloud
+def migrate(loose, slab_axis, slabs, comm):
+    """Give every particle to the rank of its layer.
 
-
-def migrate(clouds, slab_axis, slabs, comm):
-    """Give every particle to the rank of its layer. Returns (clouds, particles this rank sent to each rank).
-
-    Pieces are joined in the order of the ranks they come from, which is the one global order they had before.
+    `loose`: of each law; what leaves is taken out. Returns (what arrived from lower ranks, from higher ranks) of each law and
+    how many particles this rank sent to each rank. Joined in the order of the ranks, that is the one global order they had.
     """
     sent = np.zeros(comm.size, np.int64)
+    nothing = [loose_of_law.take(np.zeros(0, np.int64)) for loose_of_law in loose]
     if comm.size == 1:
-        return clouds, sent
+        return [(cloud, cloud) for cloud in nothing], sent
     pieces: list[list[bytes]] = [[] for _ in range(comm.size)]
-    for cloud in clouds:
-        owner = slabs.owner(cloud.node[:, slab_axis])
+    for particles in loose:
+        owner = slabs.owner(particles.homes[:, slab_axis])
         for rank in range(comm.size):
-            leaving = np.flatnonzero(owner == rank)
-            pieces[rank] += [np.int64(len(leaving)).tobytes(), cloud.take(leaving).to_bytes()]
+            leaving = np.flatnonzero(owner == rank) if rank != comm.rank else np.zeros(0, np.int64)
+            pieces[rank] += [np.int64(len(leaving)).tobytes(), particles.take(leaving).to_bytes()]
             sent[rank] += len(leaving)
-    sent[comm.rank] = 0
+        particles.keep(owner == comm.rank)
     received = comm.exchange_pieces([b"".join(piece) for piece in pieces])
 
-    arrived: list[list[Cloud]] = [[] for _ in clouds]
-    for data in received:
-        for number, cloud in enumerate(clouds):
+    arrived: list[tuple[list[Cloud], list[Cloud]]] = [([cloud], [cloud]) for cloud in nothing]
+    for rank, data in enumerate(received):
+        for number, cloud in enumerate(nothing):
             size, dim, real = cloud.reals.shape[1], cloud.node.shape[1], cloud.reals.dtype
             count = int(data[:8].view(np.int64)[0])
             length = 8 + count * (size * real.itemsize + 4 * dim + 4 + 8)
-            arrived[number].append(Cloud.from_bytes(data[8:length], count, size, dim, real))
+            side = 0 if rank < comm.rank else 1
+            arrived[number][side].append(Cloud.from_bytes(data[8:length], count, size, dim, real))
             data = data[length:]
-    return [Cloud.join(parts) for parts in arrived], sent
+    return [(Cloud.join(lower), Cloud.join(higher)) for lower, higher in arrived], sent

@@ -1,7 +1,7 @@
 """B-spline shape functions on the grid: how far a particle reaches, and with what weight.
 
-`g` is the distance, in cells, of the particle from the centre node of its stencil (the nearest node for quadratic); node n
-of the stencil lies at n - LOW_QUADRATIC from the centre.
+`g` is the distance, in cells, of the particle from the centre node of its stencil (the nearest node for quadratic, the one
+below for cubic); node n of the stencil lies at n - LOW from the centre.
 Source: Steffen, Kirby, Berzins, Int. J. Numer. Meth. Eng. 76 (2008) 922.
 """
 
@@ -18,3 +18,21 @@ def weights_quadratic(g):
 def slopes_quadratic(g):
     """dN/dx of the nodes' shape functions at the particle, in 1 / cells."""
     return (g - 0.5, -2.0 * g, g + 0.5)
+
+
+NODES_CUBIC, LOW_CUBIC, ROUND_CUBIC, INERTIA_CUBIC = 4, 1, 0.0, 3.0
+
+
+def weights_cubic(g):
+    h = 1.0 - g
+    return (
+        h * h * h * (1.0 / 6.0),
+        (0.5 * g - 1.0) * g * g + (2.0 / 3.0),
+        (0.5 * h - 1.0) * h * h + (2.0 / 3.0),
+        g * g * g * (1.0 / 6.0),
+    )
+
+
+def slopes_cubic(g):
+    h = 1.0 - g
+    return (-0.5 * h * h, (1.5 * g - 2.0) * g, (2.0 - 1.5 * h) * h, 0.5 * g * g)

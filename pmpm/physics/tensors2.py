@@ -88,6 +88,11 @@ def scale_plus_diagonal(a, S, d):
     return (a * S[0] + d, a * S[1], a * S[2] + d)
 
 
+def full(S):
+    """All entries of a symmetric S, row by row."""
+    return (S[0], S[1], S[1], S[2])
+
+
 def trace_symmetric(S):
     return S[0] + S[2]
 
@@ -107,7 +112,7 @@ def congruence(G, H):
 
     With K = G + G H it is H + K + K^T + K G^T.
     """
-    K = add(G, matmul(G, (H[0], H[1], H[1], H[2])))
+    K = add(G, matmul(G, full(H)))
     return (
         H[0] + (K[0] + K[0]) + (K[0] * G[0] + K[1] * G[1]),
         H[1] + (K[1] + K[2]) + (K[0] * G[2] + K[1] * G[3]),

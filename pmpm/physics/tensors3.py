@@ -128,6 +128,11 @@ def scale_plus_diagonal(a, S, d):
     return (a * S[0] + d, a * S[1], a * S[2], a * S[3] + d, a * S[4], a * S[5] + d)
 
 
+def full(S):
+    """All entries of a symmetric S, row by row."""
+    return (S[0], S[1], S[2], S[1], S[3], S[4], S[2], S[4], S[5])
+
+
 def trace_symmetric(S):
     return S[0] + S[3] + S[5]
 
@@ -150,7 +155,7 @@ def congruence(G, H):
 
     With K = G + G H it is H + K + K^T + K G^T.
     """
-    K = add(G, matmul(G, (H[0], H[1], H[2], H[1], H[3], H[4], H[2], H[4], H[5])))
+    K = add(G, matmul(G, full(H)))
     return (
         H[0] + (K[0] + K[0]) + (K[0] * G[0] + K[1] * G[1] + K[2] * G[2]),
         H[1] + (K[1] + K[3]) + (K[0] * G[3] + K[1] * G[4] + K[2] * G[5]),

@@ -11,26 +11,23 @@ from pmpm.physics.bspline import INERTIA_QUADRATIC as INERTIA
 MLS = False
 
 
-def momentum_matrix(mass, C, volume0_dt, tau, dx, inv_dx):
-    """(A, S): a node at distance d receives momentum w (m v + A d + S d) + force_by_gradient.
+def affine_momentum(mass, C, volume0_dt, tau, dx, inv_dx):
+    """M in kg m/s per cell: a node at distance d receives w (m v + M d), besides what weight gradients give.
 
-    A is the affine momentum per cell in kg m/s; S, symmetric, MLS-MPM's stress impulse per cell (zero work for APIC).
+    The affine momentum m C; for MLS-MPM also the stress impulse, -V0 dt tau D^-1.
     """
     A = la.scale(mass * dx, C)
     if MLS:
-        S = la.scale_plus_diagonal(-(volume0_dt * INERTIA * inv_dx), tau, 0.0)
-    else:
-        S = tau
-    return A, S
+        return la.add(A, la.full(la.scale_plus_diagonal(-(volume0_dt * INERTIA * inv_dx), tau, 0.0)))
+    return A
 
 
-def node_momentum(w, d, dw, momentum, A, S, minus_impulse):
+def node_momentum(w, d, dw, momentum, M, tau, minus_impulse):
     """Momentum (kg m/s) given to one node; `minus_impulse` = -V0 dt / dx."""
+    given = la.scale_vector(w, la.add_scaled_vector(momentum, 1.0, la.apply(M, d)))
     if MLS:
-        given = la.add_scaled_vector(momentum, 1.0, la.apply(A, d))
-        return la.scale_vector(w, la.add_scaled_vector(given, 1.0, la.apply_symmetric(S, d)))
-    given = la.scale_vector(w, la.add_scaled_vector(momentum, 1.0, la.apply(A, d)))
-    return la.add_scaled_vector(given, minus_impulse, la.apply_symmetric(S, dw))
+        return given
+    return la.add_scaled_vector(given, minus_impulse, la.apply_symmetric(tau, dw))
 
 
 def gather_velocity(v, w, v_node):

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmpm.kernels.needs import PADDING, Needs, law_needs
+from pmpm.kernels.loops import FARTHEST, SETTLED
+from pmpm.kernels.needs import Needs, law_needs
 from pmpm.scene.errors import SceneError
 from pmpm.state.grid import Geometry
 
@@ -18,13 +19,15 @@ def scene_needs(scene):
     walls = tuple(sorted({wall.type for wall in scene.domain.walls.values()} - {"free"}))
     method = scene.method
     slab_axis = int(np.argmax(scene.cells))
-    return Needs(scene.dim, method.precision, method.transfer, method.shape_function, slab_axis, laws, walls)
+    periodic = tuple("xyz"[axis] in scene.domain.periodic for axis in range(scene.dim))
+    return Needs(
+        scene.dim, method.precision, method.transfer, method.shape_function, slab_axis, periodic, laws, walls
+    )
 
 
 def grid_geometry(scene, needs):
     """The grid of a scene. Raises SceneError where it cannot hold the scene."""
-    periodic = tuple("xyz"[axis] in scene.domain.periodic for axis in range(scene.dim))
-    geometry = Geometry(scene.cells, periodic, scene.domain.cell_size, needs.axes, needs.stencil)
+    geometry = Geometry(scene.cells, needs.periodic, scene.domain.cell_size, needs.axes, needs.stencil)
     check_axes(geometry)
     return geometry
 
@@ -56,25 +59,25 @@ def law_table(scene, law):
     return np.array([row if row is not None else [0.0] * width for row in rows])
 
 
-def domain_limits(scene, geometry, real):
-    """(limits, edges): first and last centre node a particle may have along each axis, and how far beyond them in cells.
+def domain_limits(scene, geometry):
+    """(limits, ends) in 64ths of a cell, (dim, 2) int64: where a particle may be, and where a periodic axis repeats.
 
     Walls hold the material back; what has passed one by more than half a cell has left. Through a free face nothing holds
-    it: it may not pass at all. Periodic axes allow the padding.
+    it: it may not pass at all. On periodic axes particles may drift as far beyond the end as from the middle of a layer.
     """
     limits = np.zeros((geometry.dim, 2), np.int64)
-    edges = np.zeros((geometry.dim, 2), real)
+    ends = np.zeros((geometry.dim, 2), np.int64)
     for axis in range(geometry.dim):
-        last = geometry.cells[axis]
+        cells = geometry.cells[axis]
         if geometry.periodic[axis]:
-            limits[axis] = -PADDING, last - 1 + PADDING
-            edges[axis] = -1.0, 1.0
+            first = -int(64 * geometry.stencil.round)
+            ends[axis] = first, first + 64 * cells
+            limits[axis] = ends[axis] + (FARTHEST - SETTLED) * np.array([-1, 1])
             continue
-        limits[axis] = 0, last
-        for side, sign in enumerate((-1.0, 1.0)):
-            wall = scene.domain.wall(f"{'xyz'[axis]}_{FACES[side]}")
-            edges[axis, side] = 0.0 if wall.type == "free" else sign
-    return limits, edges
+        for side, place in enumerate((0, 64 * cells)):
+            free = scene.domain.wall(f"{'xyz'[axis]}_{FACES[side]}").type == "free"
+            limits[axis, side] = place if free else place + (32 if side else -32)
+    return limits, ends
 
 
 @dataclass(frozen=True)

@@ -34,9 +34,8 @@ class DerivedFields:
 
     def x(self):
         """(n, dim) float64 positions in m."""
-        cloud = self.population.unpack(self.geometry.axes)
-        offset = cloud.reals[:, : self.geometry.dim].astype(np.float64)
-        return (cloud.node + offset) * self.geometry.cell_size
+        node, part = self.population.cells(self.geometry.axes)
+        return (node + part) * self.geometry.cell_size
 
     def velocity(self):
         return self.field("v")

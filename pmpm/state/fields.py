@@ -41,7 +41,7 @@ class Field:
 
 
 COMMON = (
-    Field("x", "vector", "cells", "position, as an offset from the home node; files and users see metres"),
+    Field("x", "vector", "cells", "position, as a place (see kernels.places); files and users see metres"),
     Field("v", "vector", "m/s", "velocity"),
     Field("C", "tensor", "1/s", "affine velocity field of APIC"),
 )

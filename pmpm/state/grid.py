@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmpm.kernels.loops import EMPTY_BOX
 from pmpm.kernels.needs import Stencil
 
 WINDOW_BYTES = 1 << 20  # of scratch planes that P2G keeps at a time: about what a core's own cache holds
@@ -38,22 +39,28 @@ class Geometry:
 
     @property
     def plane_shape(self):
+        """Nodes of a plane along middle and row; rows are padded so that no row of four nodes leaves its own."""
         _, middle, row = self.axes
-        return (1 if middle < 0 else self.extent(middle), self.extent(row))
+        return (1 if middle < 0 else self.extent(middle), self.extent(row) + 4)
 
 
 class Patch:
     """This rank's nodes: planes first_plane .. first_plane + planes - 1, and the scratch windows of P2G.
 
-    nodes (planes, middle, row, 4): momentum or velocity (3), mass.
+    nodes (planes, middle, row, 4): momentum or velocity (3), mass. boxes (planes, 4) and layer_boxes (layers, 4): where along
+    middle and row a plane, and what a layer has given, is not zero. One law needs one window; several need some, so that each
+    does a few layers at a time.
     """
 
-    def __init__(self, geometry, first_layer, last_layer, real):
+    def __init__(self, geometry, first_layer, last_layer, laws, real):
         stencil, shape = geometry.stencil, geometry.plane_shape
         layers = last_layer - first_layer
         self.first_plane = first_layer - stencil.reach_low
         self.planes = layers + stencil.reach_low + stencil.reach_high if layers else 0
         self.nodes = np.zeros((self.planes, *shape, 4), real)
+        self.boxes = np.tile(np.array(EMPTY_BOX), (self.planes, 1))
+        self.layer_boxes = np.tile(np.array(EMPTY_BOX), (layers, 1))
         window_bytes = stencil.window * shape[0] * shape[1] * 4 * np.dtype(real).itemsize
-        chunk = max(1, min(layers, WINDOW_BYTES // window_bytes))
-        self.windows = np.zeros((chunk, stencil.window, *shape, 4), real)
+        windows = 1 if laws == 1 else max(1, min(layers, WINDOW_BYTES // window_bytes))
+        self.windows = np.zeros((windows, stencil.window, *shape, 4), real)
+        self.chunk = max(layers, 1) if laws == 1 else windows  # layers that all laws do before the next

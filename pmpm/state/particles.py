@@ -1,19 +1,23 @@
-"""The particles of one law on one rank: blocks of 16 for the kernels, plain rows for regrouping and output.
+"""The particles of one law on one rank: blocks of 16 for the kernels, plain rows for those that travel.
 
-A `Cloud` is rows in any order; a `Population` is the same particles ordered by (layer, table row, cell), in blocks that hold
-one layer and one table row each, padded at their end.
+A `Population` is ordered by (layer, table row, cell) and lies in segments of blocks, see kernels.loops. A `Cloud` is rows in
+any order. `assemble` makes the one from what stayed and what arrived.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from pmpm.kernels.places import FORMATS
+from pmpm.kernels.sorting import SEGMENT_COLUMNS
+
 LANES = 16
 
 
 @dataclass
 class Cloud:
-    """Particles as rows: reals (n, size), node (n, dim) int32 home node per physical axis, row (n,) int32, id (n,) int64."""
+    """Particles as rows: reals (n, size) whose first dim numbers are places, as integers, from the home node; node (n, dim)
+    int32 home node per physical axis, row (n,) int32, id (n,) int64."""
 
     reals: np.ndarray
     node: np.ndarray
@@ -29,12 +33,17 @@ class Cloud:
     def __len__(self):
         return len(self.id)
 
-    def take(self, index):
-        return Cloud(self.reals[index], self.node[index], self.row[index], self.id[index])
+    @property
+    def places(self):
+        """(n, size) the same memory as integers."""
+        return self.reals.view(FORMATS[self.reals.dtype].integer)
 
     @staticmethod
     def join(clouds):
         return Cloud(*(np.concatenate([getattr(c, name) for c in clouds]) for name in ("reals", "node", "row", "id")))
+
+    def take(self, index):
+        return Cloud(self.reals[index], self.node[index], self.row[index], self.id[index])
 
     def to_bytes(self):
         return b"".join(np.ascontiguousarray(a).tobytes() for a in (self.reals, self.node, self.row, self.id))
@@ -52,56 +61,52 @@ class Cloud:
 
 @dataclass
 class Population:
-    """One law's particles in blocks. Arrays the kernels take: reals (blocks, size, 16), home (blocks, 16) int32 packed
-    place of the home node in its plane, id (blocks, 16) int64, block_row, block_count (blocks,) int32, layer_start
-    (layers + 1,) int64 first block of each layer of this rank."""
+    """One law's particles in blocks. Arrays the kernels take: reals (blocks, size, 16), places the same memory as integers,
+    segments (segments, 5) int64, layer_start (layers + 1,) int64 first segment of each layer of this rank; and id (blocks,
+    16) int64."""
 
     reals: np.ndarray
-    home: np.ndarray
+    places: np.ndarray
     id: np.ndarray
-    block_row: np.ndarray
-    block_count: np.ndarray
+    segments: np.ndarray
     layer_start: np.ndarray
     first_layer: int
 
     @classmethod
-    def pack(cls, cloud, axes, first_layer, layers, rest):
-        """Order a cloud and lay it in blocks; `rest` fills the pad lanes. Stable with respect to the order before."""
-        slab, middle, row_axis = axes
-        layer = cloud.node[:, slab].astype(np.int64) - first_layer
-        home = cloud.node[:, row_axis].astype(np.int64)
-        if middle >= 0:
-            home = home | (cloud.node[:, middle].astype(np.int64) << 16)
-        order = np.lexsort((home, cloud.row, layer))
-        layer, home, row = layer[order], home[order], cloud.row[order]
-        count = len(order)
-
-        begins = np.ones(count, bool)
-        begins[1:] = (layer[1:] != layer[:-1]) | (row[1:] != row[:-1])
-        group_first = np.flatnonzero(begins)
-        group_size = np.diff(np.append(group_first, count))
-        group_blocks = -(-group_size // LANES)
-        group_block = np.concatenate([[0], np.cumsum(group_blocks)])
-        blocks = int(group_block[-1])
-        within = np.arange(count) - np.repeat(group_first, group_size)
-        place = np.repeat(group_block[:-1], group_size) * LANES + within
-        block, lane = place // LANES, place % LANES
-
-        reals = np.empty((blocks, cloud.reals.shape[1], LANES), cloud.reals.dtype)
-        reals[:] = rest[:, None]
-        reals[block, :, lane] = cloud.reals[order]
-        homes = np.zeros((blocks, LANES), np.int32)
-        homes[block, lane] = home
-        ids = np.full((blocks, LANES), -1, np.int64)
-        ids[block, lane] = cloud.id[order]
-        block_count = np.bincount(block, minlength=blocks).astype(np.int32)
-        block_row, block_layer = np.zeros(blocks, np.int32), np.zeros(blocks, np.int64)
-        block_row[block], block_layer[block] = row, layer
-        layer_start = np.searchsorted(block_layer, np.arange(layers + 1)).astype(np.int64)
-        return cls(reals, homes, ids, block_row, block_count, layer_start, first_layer)
+    def empty(cls, size, layers, first_layer, real):
+        reals = np.zeros((0, size, LANES), real)
+        return cls(
+            reals,
+            reals.view(FORMATS[reals.dtype].integer),
+            np.zeros((0, LANES), np.int64),
+            np.zeros((0, SEGMENT_COLUMNS), np.int64),
+            np.zeros(layers + 1, np.int64),
+            first_layer,
+        )
 
     def __len__(self):
-        return int(self.block_count.sum())
+        return int(self.segments[:, 1].sum())
+
+    @property
+    def nbytes(self):
+        return self.reals.nbytes + self.id.nbytes + self.segments.nbytes + self.layer_start.nbytes
+
+    @property
+    def block_segment(self):
+        """(blocks,) the segment of each block."""
+        return np.repeat(np.arange(len(self.segments)), -(-self.segments[:, 1] // LANES))
+
+    @property
+    def block_row(self):
+        """(blocks,) the table row of each block."""
+        return self.segments[self.block_segment, 2]
+
+    @property
+    def block_count(self):
+        """(blocks,) how many lanes hold a particle."""
+        segment = self.block_segment
+        behind = LANES * (np.arange(len(segment)) - self.segments[segment, 0])
+        return np.minimum(self.segments[segment, 1] - behind, LANES)
 
     @property
     def lanes(self):
@@ -111,7 +116,8 @@ class Population:
     @property
     def block_layer(self):
         """(blocks,) global layer of each block."""
-        return self.first_layer + np.repeat(np.arange(len(self.layer_start) - 1), np.diff(self.layer_start))
+        layer = self.first_layer + np.repeat(np.arange(len(self.layer_start) - 1), np.diff(self.layer_start))
+        return layer[self.block_segment]
 
     def rows(self, fields):
         """(n, k) the reals `fields` (a slice) of every particle, in the one global order of this law."""
@@ -126,14 +132,106 @@ class Population:
         """(n,) a per-block array, repeated for the particles of each block."""
         return np.repeat(per_block, self.block_count)
 
-    def unpack(self, axes):
-        """The particles as a Cloud, in order."""
-        slab, middle, row_axis = axes
-        lanes = self.lanes
-        home = self.home[lanes]
-        node = np.empty((len(home), 2 if middle < 0 else 3), np.int32)
-        node[:, slab] = self.per_particle(self.block_layer)
-        node[:, row_axis] = home if middle < 0 else home & 0xFFFF
-        if middle >= 0:
-            node[:, middle] = home >> 16
-        return Cloud(self.rows(slice(None)), node, self.per_particle(self.block_row), self.id[lanes])
+    def cells(self, axes):
+        """(node, part): per particle and physical axis the node below and the part of a cell from it, int64 and float64."""
+        dim = 2 if axes[1] < 0 else 3
+        form = FORMATS[self.reals.dtype]
+        place = self.places[:, :dim].transpose(0, 2, 1)[self.lanes].astype(np.int64)
+        base = np.empty_like(place)
+        base[:, axes[0]] = self.per_particle(self.block_layer)
+        for column, axis in ((3, axes[1]), (4, axes[2])):
+            if axis >= 0:
+                base[:, axis] = self.per_particle(self.segments[self.block_segment, column])
+        whole = place >> form.fraction
+        return base + whole, form.to_cells(place - (whole << form.fraction))
+
+    def at(self, node, place):
+        """The particles as a Cloud, in order, at other places (n, dim) from these nodes (n, dim)."""
+        cloud = Cloud(
+            self.rows(slice(None)), node.astype(np.int32), self.per_particle(self.block_row).astype(np.int32), self.id[self.lanes]
+        )
+        cloud.places[:, : node.shape[1]] = place
+        return cloud
+
+
+@dataclass
+class Loose:
+    """Particles taken out of their order, still in their old blocks: home nodes (n, dim), table rows and sources (n,), see
+    kernels.sorting. Places count from the home nodes."""
+
+    population: Population
+    homes: np.ndarray
+    rows: np.ndarray
+    source: np.ndarray
+
+    @classmethod
+    def of(cls, population, geometry, kernels):
+        """Find the home node of every particle; the population is of no use afterwards."""
+        count, form = len(population), FORMATS[population.reals.dtype]
+        loose = cls(
+            population, np.empty((count, geometry.dim), np.int32), np.empty(count, np.int32), np.empty(count, np.int64)
+        )
+        kernels.loosen(
+            population.places, population.segments, population.layer_start, population.first_layer,
+            int(geometry.stencil.round * 2**form.fraction), form.fraction, np.array(geometry.axes),
+            np.array([cells * repeats for cells, repeats in zip(geometry.cells, geometry.periodic, strict=True)]),
+            loose.homes, loose.rows, loose.source,
+        )  # fmt: skip
+        return loose
+
+    def take(self, index):
+        """Some of them as a Cloud."""
+        block, lane = self.source[index] // LANES, self.source[index] % LANES
+        return Cloud(
+            self.population.reals[block, :, lane], self.homes[index], self.rows[index], self.population.id[block, lane]
+        )
+
+    @classmethod
+    def of_rows(cls, cloud):
+        """Particles that lie in no order yet."""
+        count, size = cloud.reals.shape
+        blocks = -(-count // LANES)
+        population = Population.empty(size, 0, 0, cloud.reals.dtype)
+        padded = np.zeros((blocks * LANES, size), cloud.reals.dtype)
+        padded[:count] = cloud.reals
+        population.reals = np.ascontiguousarray(padded.reshape(blocks, LANES, size).transpose(0, 2, 1))
+        population.places = population.reals.view(population.places.dtype)
+        population.id = np.zeros((blocks, LANES), np.int64)
+        population.id.reshape(-1)[:count] = cloud.id
+        return cls(population, cloud.node, cloud.row, np.arange(count))
+
+    def keep(self, index):
+        """Only some of them, in order."""
+        self.homes, self.rows, self.source = self.homes[index], self.rows[index], self.source[index]
+
+
+def assemble(loose, before, after, geometry, kernels, first_layer, layers, body_count, rest):
+    """The Population of what stayed, what arrived from lower ranks and from higher ones, in layers of this rank.
+
+    `rest` (size,): what fills up blocks, as reals, places zero.
+    """
+    form = FORMATS[rest.dtype]
+    old = loose.population
+    homes, bodies, source = loose.homes, loose.rows, loose.source
+    arrived = before
+    if len(before) or len(after):
+        arrived = Cloud.join([before, after])
+        number = -1 - np.arange(len(arrived))
+        homes = np.concatenate([before.node, homes, after.node])
+        bodies = np.concatenate([before.row, bodies, after.row])
+        source = np.concatenate([number[: len(before)], source, number[len(before) :]])
+    count, axes = len(source), np.array(geometry.axes)
+    order, scratch = np.empty(count, np.int64), np.empty(count, np.int64)
+    buckets = max(layers * body_count, max((geometry.extent(axis) for axis in range(geometry.dim)), default=0)) + 2
+    kernels.cell_order(homes, bodies, axes, first_layer, layers, body_count, np.empty(buckets, np.int64), scratch, order)
+    segments, layer_start = np.empty((count, SEGMENT_COLUMNS), np.int64), np.zeros(layers + 1, np.int64)
+    used, blocks = kernels.cut_segments(homes, bodies, order, axes, first_layer, segments, layer_start)
+    segments = segments[:used].copy()
+    reals, ids = np.empty((blocks, len(rest), LANES), rest.dtype), np.empty((blocks, LANES), np.int64)
+    places = reals.view(form.integer)
+    kernels.permute(
+        old.places, arrived.places, old.id, arrived.id, source, order, segments, used, places, ids,
+        rest.view(form.integer),
+    )  # fmt: skip
+    kernels.fasten(places, segments, used, homes, order, axes, first_layer, form.fraction)
+    return Population(reals, places, ids, segments, layer_start, first_layer)

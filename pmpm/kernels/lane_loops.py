@@ -1,0 +1,643 @@
+"""P2G and G2P on SIMD lanes. Same arguments and same physics as scalar_loops.py, which is the reference.
+
+A block of 16 particles is worked on in two ways. For weights, stress and state a lane is a particle. For the transfer a lane
+is a component of a node: a row of 4 neighbouring nodes x (3 components, mass) is contiguous in memory and one value here
+(quadratic: the fourth node's weight is zero). The rows of a stencil stay in registers while consecutive particles share
+their nodes. Array axes are (slab, middle, row); in 2-D there is no middle.
+
+What a particle gives to node i at distance d, with M the affine momentum (and the stress impulse of MLS) and F the impulse
+on weight gradients, is w (M_s d_s + M_m d_m + M_r d_r + m v) + F . grad w. With w = w_s w_m w_r it is summed as
+  constant = w_r (M_r d_r + m v) [+ w'_r F_r],   X = w_s constant + w_s d_s (w_r M_s) [+ w'_s (w_r F_s)],
+  Y = w_s (w_r M_m),   row += w_m X + w_m d_m Y [+ w'_m w_s (w_r F_m)].
+"""
+
+import numpy as np
+
+from pmpm.kernels.lanes import (
+    any_of,
+    flush_denormals,
+    in_all_lanes,
+    lanes_below,
+    largest_lane,
+    load,
+    load_repeated,
+    load_transposed,
+    restore_denormals,
+    smallest_lane,
+    store,
+    store_quads,
+    sum_nodes,
+    to_int32,
+    to_integer,
+    to_real,
+    where,
+)
+from pmpm.kernels.loops import (
+    CAUSE_LEFT,
+    CAUSE_POSITION,
+    CAUSE_STATE,
+    DENSITY_COLUMN,
+    FARTHEST,
+    MASS_COLUMN,
+    NOWHERE,
+    SETTLED,
+    VOLUME_COLUMN,
+    fold_layer,
+    load_parameters,
+    place_at,
+)
+from pmpm.physics import tensors2 as la
+from pmpm.physics import transfer
+from pmpm.physics.bspline import slopes_quadratic as slopes
+from pmpm.physics.bspline import weights_quadratic as weights
+from pmpm.physics.materials import neo_hookean as law
+from pmpm.physics.words import floor
+
+real = integer = float
+DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
+NODES, PADDING, INERTIA = 3, 1, 4.0
+FRACTION, HALF, CENTRE, UNIT, ONE_CELL = 52, 1 << 51, 0, 2.0**-52, 2.0**52
+MLS = False
+PERIODIC_MIDDLE = PERIODIC_ROW = False
+FIELDS, V_FIELD, C_FIELD, STATE_FIELD = 12, 2, 4, 8
+OFFSETS = (-1.0, 0.0, 1.0)
+
+# Columns of 16 reals of the scratch table: weights, first moments and slopes of up to 4 nodes along two axes, the offset
+# along rows, then 7 quads of 64.
+SLAB_W, SLAB_E, SLAB_D = 0, 64, 128
+MIDDLE_W, MIDDLE_E, MIDDLE_D = 192, 256, 320
+ROW_G = 384
+QUADS = 400
+QUAD_SLAB, QUAD_MIDDLE, QUAD_ROW, QUAD_CONSTANT = 400, 464, 528, 592
+QUAD_F_SLAB, QUAD_F_MIDDLE, QUAD_F_ROW = 656, 720, 784
+GATHERED, GRADIENTS = 400, 656
+CAUSES = 912
+SCRATCH = 1024
+ROW_DISTANCE = 0  # of the constants of a row: distances of its nodes, then the powers of the weights and slopes
+ROW_WEIGHT, ROW_SLOPE = 16, 80
+CONSTANTS = 144
+FARTHEST_NODE, NEAREST_NODE = np.int32(1 << 30), np.int32(-(1 << 30))
+
+
+# ---- fields of a block ---------------------------------------------------------------------------------------------------
+
+
+def fields_1(a, o):
+    return (load(a, o),)
+
+
+def fields_2(a, o):
+    return (load(a, o), load(a, o + 16))
+
+
+def fields_3(a, o):
+    return (load(a, o), load(a, o + 16), load(a, o + 32))
+
+
+def fields_4(a, o):
+    return fields_2(a, o) + fields_2(a, o + 32)
+
+
+def fields_6(a, o):
+    return fields_3(a, o) + fields_3(a, o + 48)
+
+
+def fields_7(a, o):
+    return fields_6(a, o) + fields_1(a, o + 96)
+
+
+def fields_9(a, o):
+    return fields_6(a, o) + fields_3(a, o + 96)
+
+
+FIELD_TUPLES = {1: fields_1, 2: fields_2, 3: fields_3, 4: fields_4, 6: fields_6, 7: fields_7, 9: fields_9}
+load_vector, load_matrix, load_state = fields_2, fields_4, fields_4
+
+
+def put(a, o, values):
+    """A tuple of lanes into consecutive columns."""
+    for i in range(len(values)):
+        store(a, o + 16 * i, values[i])
+
+
+# ---- where 16 particles stand --------------------------------------------------------------------------------------------
+
+
+def centre_of(place):
+    return (place + HALF) >> FRACTION
+
+
+def offset_from(place, centre):
+    """Distance from the centre node in cells."""
+    return to_real(place - (centre << FRACTION)) * UNIT
+
+
+def moments_3(w, g):
+    """w d of each node."""
+    return (w[0] * (OFFSETS[0] - g), w[1] * (OFFSETS[1] - g), w[2] * (OFFSETS[2] - g))
+
+
+def moments_4(w, g):
+    return moments_3(w, g) + (w[3] * (OFFSETS[3] - g),)
+
+
+moments = moments_3
+
+
+def place_along(table, column, g):
+    """Weights, first moments and slopes of one axis."""
+    w = weights(g)
+    put(table, column + SLAB_W, w)
+    put(table, column + SLAB_E, moments(w, g))
+    if not MLS:
+        put(table, column + SLAB_D, slopes(g))
+
+
+def place_block(places, o, table, first_nodes, base_middle, base_row, plane, row):
+    """Stencils of 16 particles. Returns the first node along middle and row, in the counting of the patch.
+
+    first_nodes[lane]: where the stencil begins, in reals from the first plane of the layer's window.
+    """
+    place = load(places, o + 16 * SLAB)
+    centre = centre_of(place)
+    place_along(table, 0, offset_from(place, centre))
+    first = (to_int32(centre) + PADDING) * plane
+    place = load(places, o + 16 * ROW)
+    centre = centre_of(place)
+    store(table, ROW_G, offset_from(place, centre))
+    first_row = to_int32(centre) + (base_row + PADDING)
+    first_middle = first_row
+    if DIMENSIONS == 3:
+        place = load(places, o + 16 * MIDDLE)
+        centre = centre_of(place)
+        place_along(table, MIDDLE_W, offset_from(place, centre))
+        first_middle = to_int32(centre) + (base_middle + PADDING)
+        first = first + first_middle * row
+    store(first_nodes, 0, (first + first_row) * 4)
+    return first_middle, first_row
+
+
+def row_weights_3(constants, at, g):
+    """A polynomial of each node of a row, repeated for the node's 4 components: quadratic."""
+    return (load(constants, at + 32) * g + load(constants, at + 16)) * g + load(constants, at)
+
+
+def row_weights_4(constants, at, g):
+    """Cubic."""
+    return (
+        (load(constants, at + 48) * g + load(constants, at + 32)) * g + load(constants, at + 16)
+    ) * g + load(constants, at)
+
+
+row_weights = row_weights_3
+
+
+# ---- P2G -----------------------------------------------------------------------------------------------------------------
+
+
+def no_rows():
+    return in_all_lanes(real(0.0))
+
+
+def rows_1():
+    return (no_rows(),)
+
+
+def rows_3():
+    return (no_rows(), no_rows(), no_rows())
+
+
+def rows_4():
+    return (no_rows(), no_rows(), no_rows(), no_rows())
+
+
+def stencil_3():
+    return (middle_rows(), middle_rows(), middle_rows())
+
+
+def stencil_4():
+    return (middle_rows(), middle_rows(), middle_rows(), middle_rows())
+
+
+middle_rows, empty_stencil = rows_1, stencil_3
+
+
+def add_row(row, table, at, X, Y, Z):
+    """One row of a slab: X and Y as in the head of this file, Z what multiplies the slope along the middle axis."""
+    row = row + table[at] * X
+    row = row + table[at + (MIDDLE_E - MIDDLE_W)] * Y
+    if not MLS:
+        row = row + table[at + (MIDDLE_D - MIDDLE_W)] * Z
+    return row
+
+
+def add_slab_1(rows, table, lane, X, Y, Z):
+    return (rows[0] + X,)
+
+
+def add_slab_3(rows, table, lane, X, Y, Z):
+    at = MIDDLE_W + lane
+    return (
+        add_row(rows[0], table, at, X, Y, Z),
+        add_row(rows[1], table, at + 16, X, Y, Z),
+        add_row(rows[2], table, at + 32, X, Y, Z),
+    )
+
+
+def add_slab_4(rows, table, lane, X, Y, Z):
+    return add_slab_3(rows, table, lane, X, Y, Z) + (add_row(rows[3], table, MIDDLE_W + 48 + lane, X, Y, Z),)
+
+
+add_slab = add_slab_1
+
+
+def add_particle_to(rows, table, lane, i, constant, slab, middle, force_slab, force_middle):
+    """Slab i of a stencil gains what a particle gives it."""
+    w = table[SLAB_W + 16 * i + lane]
+    X = w * constant + table[SLAB_E + 16 * i + lane] * slab
+    if not MLS:
+        X = X + table[SLAB_D + 16 * i + lane] * force_slab
+    return add_slab(rows, table, lane, X, w * middle, w * force_middle)
+
+
+def add_particle_3(rows, table, lane, constant, slab, middle, force_slab, force_middle):
+    return (
+        add_particle_to(rows[0], table, lane, 0, constant, slab, middle, force_slab, force_middle),
+        add_particle_to(rows[1], table, lane, 1, constant, slab, middle, force_slab, force_middle),
+        add_particle_to(rows[2], table, lane, 2, constant, slab, middle, force_slab, force_middle),
+    )
+
+
+def add_particle_4(rows, table, lane, constant, slab, middle, force_slab, force_middle):
+    return add_particle_3(rows, table, lane, constant, slab, middle, force_slab, force_middle) + (
+        add_particle_to(rows[3], table, lane, 3, constant, slab, middle, force_slab, force_middle),
+    )
+
+
+add_particle = add_particle_3
+
+
+def scatter(rows, table, constants, lane):
+    """Add one particle of the block to the rows of its stencil."""
+    q = 16 * (lane & 3) + 4 * (lane >> 2)  # where store_quads puts lane's values
+    g = in_all_lanes(table[ROW_G + lane])
+    w = row_weights(constants, ROW_WEIGHT, g)
+    d = load(constants, ROW_DISTANCE) - g
+    constant = w * (load_repeated(table, QUAD_ROW + q) * d + load_repeated(table, QUAD_CONSTANT + q))
+    slab = w * load_repeated(table, QUAD_SLAB + q)
+    middle = force_slab = force_middle = slab
+    if DIMENSIONS == 3:
+        middle = w * load_repeated(table, QUAD_MIDDLE + q)
+    if not MLS:
+        constant = constant + row_weights(constants, ROW_SLOPE, g) * load_repeated(table, QUAD_F_ROW + q)
+        force_slab = w * load_repeated(table, QUAD_F_SLAB + q)
+        if DIMENSIONS == 3:
+            force_middle = w * load_repeated(table, QUAD_F_MIDDLE + q)
+    return add_particle(rows, table, lane, constant, slab, middle, force_slab, force_middle)
+
+
+def add_at(window, o, row):
+    store(window, o, load(window, o) + row)
+
+
+def flush_slab_1(window, o, row, rows):
+    add_at(window, o, rows[0])
+
+
+def flush_slab_3(window, o, row, rows):
+    add_at(window, o, rows[0])
+    add_at(window, o + row, rows[1])
+    add_at(window, o + 2 * row, rows[2])
+
+
+def flush_slab_4(window, o, row, rows):
+    flush_slab_3(window, o, row, rows)
+    add_at(window, o + 3 * row, rows[3])
+
+
+flush_slab = flush_slab_1
+
+
+def flush_3(window, o, plane, row, rows):
+    """Add the rows of a stencil to the window."""
+    flush_slab(window, o, row, rows[0])
+    flush_slab(window, o + plane, row, rows[1])
+    flush_slab(window, o + 2 * plane, row, rows[2])
+
+
+def flush_4(window, o, plane, row, rows):
+    flush_3(window, o, plane, row, rows)
+    flush_slab(window, o + 3 * plane, row, rows[3])
+
+
+flush = flush_3
+
+
+def store_column_2(table, at, A, axis):
+    """Column `axis` of a matrix of lanes, as a quad."""
+    zero = in_all_lanes(real(0.0))
+    store_quads(table, at, A[axis], A[2 + axis], zero, zero)
+
+
+def store_column_3(table, at, A, axis):
+    store_quads(table, at, A[axis], A[3 + axis], A[6 + axis], in_all_lanes(real(0.0)))
+
+
+def store_constant_2(table, at, p, mass):
+    store_quads(table, at, p[0], p[1], in_all_lanes(real(0.0)), in_all_lanes(mass))
+
+
+def store_constant_3(table, at, p, mass):
+    store_quads(table, at, p[0], p[1], p[2], in_all_lanes(mass))
+
+
+store_column, store_constant = store_column_2, store_constant_2
+
+
+def momentum_block(reals, o, table, mass, volume0, params, dt, dx, inv_dx):
+    """What the 16 particles of a block give, as quads of one vector per particle."""
+    tau = law.kirchhoff_stress(load_state(reals, o + 16 * STATE_FIELD), params)
+    M = transfer.affine_momentum(mass, load_matrix(reals, o + 16 * C_FIELD), volume0 * dt, tau, dx, inv_dx)
+    store_column(table, QUAD_SLAB, M, SLAB)
+    store_column(table, QUAD_ROW, M, ROW)
+    if DIMENSIONS == 3:
+        store_column(table, QUAD_MIDDLE, M, MIDDLE)
+    store_constant(table, QUAD_CONSTANT, la.scale_vector(mass, load_vector(reals, o + 16 * V_FIELD)), mass)
+    if not MLS:
+        F = la.full(la.scale_plus_diagonal(-(volume0 * dt) * inv_dx, tau, 0.0))
+        store_column(table, QUAD_F_SLAB, F, SLAB)
+        store_column(table, QUAD_F_ROW, F, ROW)
+        if DIMENSIONS == 3:
+            store_column(table, QUAD_F_MIDDLE, F, MIDDLE)
+
+
+def p2g(
+    reals, places, segments, layer_start, first_layer, last_layer, table, windows, boxes, folds, targets, nodes,
+    plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx,
+):  # fmt: skip
+    """See loops.py for what the arguments are."""
+    before = flush_denormals()
+    values, where_from = reals.reshape(-1), places.reshape(-1)
+    window_planes, window_size = windows.shape[1], windows.shape[1] * windows.shape[2] * windows.shape[3] * 4
+    row, plane = windows.shape[3] * 4, windows.shape[2] * windows.shape[3] * 4
+    for layer in range(first_layer, last_layer):
+        place_of_window = (layer - first_layer) % windows.shape[0]
+        window = windows.reshape(-1)[place_of_window * window_size : (place_of_window + 1) * window_size]
+        lowest_middle = lowest_row = in_all_lanes(FARTHEST_NODE)
+        highest_middle = highest_row = in_all_lanes(NEAREST_NODE)
+        rows, held = empty_stencil(), NOWHERE
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            block, left, body = segments[s, 0], segments[s, 1], segments[s, 2]
+            mass, volume0, params = table[body, MASS_COLUMN], table[body, VOLUME_COLUMN], load_parameters(table, body)
+            while left > 0:
+                o = block * (16 * FIELDS)
+                m, r = place_block(
+                    where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], windows.shape[2] * windows.shape[3],
+                    windows.shape[3],
+                )  # fmt: skip
+                lowest_middle, highest_middle = min(lowest_middle, m), max(highest_middle, m)
+                lowest_row, highest_row = min(lowest_row, r), max(highest_row, r)
+                momentum_block(values, o, scratch, mass, volume0, params, dt, dx, inv_dx)
+                for lane in range(min(left, 16)):
+                    first = first_nodes[lane]
+                    if first != held:
+                        if held != NOWHERE:
+                            flush(window, held, plane, row, rows)
+                        rows, held = empty_stencil(), first
+                    rows = scatter(rows, scratch, constants, lane)
+                block += 1
+                left -= 16
+        if held != NOWHERE:
+            flush(window, held, plane, row, rows)
+        if DIMENSIONS == 3:
+            boxes[layer, 0] = min(boxes[layer, 0], smallest_lane(lowest_middle))
+            boxes[layer, 1] = max(boxes[layer, 1], largest_lane(highest_middle) + NODES)
+        else:
+            boxes[layer, 0], boxes[layer, 1] = 0, 1
+        boxes[layer, 2] = min(boxes[layer, 2], smallest_lane(lowest_row))
+        boxes[layer, 3] = max(boxes[layer, 3], largest_lane(highest_row) + 4)
+        if folds:
+            fold_layer(windows[place_of_window], boxes[layer], targets[layer], nodes, plane_boxes, unsummed, slot_boxes)
+    restore_denormals(before)
+
+
+# ---- G2P -----------------------------------------------------------------------------------------------------------------
+
+
+def gather_slab_1(nodes, o, row, table, lane):
+    """(sum of w_m v_i, sum of w_m d_m v_i, sum of w'_m v_i) over the rows of a slab."""
+    v = load(nodes, o)
+    return v, v, v
+
+
+def gather_slab_3(nodes, o, row, table, lane):
+    at = MIDDLE_W + lane
+    a, b, c = load(nodes, o), load(nodes, o + row), load(nodes, o + 2 * row)
+    v = table[at] * a + table[at + 16] * b + table[at + 32] * c
+    at += MIDDLE_E - MIDDLE_W
+    e = table[at] * a + table[at + 16] * b + table[at + 32] * c
+    if MLS:
+        return v, e, v
+    at += MIDDLE_D - MIDDLE_E
+    return v, e, table[at] * a + table[at + 16] * b + table[at + 32] * c
+
+
+def gather_slab_4(nodes, o, row, table, lane):
+    v, e, f = gather_slab_3(nodes, o, row, table, lane)
+    d, at = load(nodes, o + 3 * row), MIDDLE_W + 48 + lane
+    v = v + table[at] * d
+    e = e + table[at + (MIDDLE_E - MIDDLE_W)] * d
+    if MLS:
+        return v, e, v
+    return v, e, f + table[at + (MIDDLE_D - MIDDLE_W)] * d
+
+
+gather_slab = gather_slab_1
+
+
+def gather_from(sums, nodes, o, row, table, lane, i):
+    """Add slab i to (v, B along slab, B along middle, gradient along slab, gradient along middle), all but the row's part."""
+    s, e, f = gather_slab(nodes, o, row, table, lane)
+    w = table[SLAB_W + 16 * i + lane]
+    v, B_slab, B_middle, L_slab, L_middle = sums
+    v = v + w * s
+    B_slab = B_slab + table[SLAB_E + 16 * i + lane] * s
+    if DIMENSIONS == 3:
+        B_middle = B_middle + w * e
+    if not MLS:
+        L_slab = L_slab + table[SLAB_D + 16 * i + lane] * s
+        if DIMENSIONS == 3:
+            L_middle = L_middle + w * f
+    return v, B_slab, B_middle, L_slab, L_middle
+
+
+def gather_slabs_3(sums, nodes, o, plane, row, table, lane):
+    sums = gather_from(sums, nodes, o, row, table, lane, 0)
+    sums = gather_from(sums, nodes, o + plane, row, table, lane, 1)
+    return gather_from(sums, nodes, o + 2 * plane, row, table, lane, 2)
+
+
+def gather_slabs_4(sums, nodes, o, plane, row, table, lane):
+    sums = gather_slabs_3(sums, nodes, o, plane, row, table, lane)
+    return gather_from(sums, nodes, o + 3 * plane, row, table, lane, 3)
+
+
+gather_slabs = gather_slabs_3
+
+
+def gather(nodes, o, plane, row, table, constants, lane):
+    """Sums over the stencil of one particle: (v | B along slab | middle | row), and the gradient likewise, into scratch."""
+    g = in_all_lanes(table[ROW_G + lane])
+    zero = in_all_lanes(real(0.0))
+    v, B_slab, B_middle, L_slab, L_middle = gather_slabs((zero, zero, zero, zero, zero), nodes, o, plane, row, table, lane)
+    w = row_weights(constants, ROW_WEIGHT, g)
+    B_row = w * v * (load(constants, ROW_DISTANCE) - g)
+    if DIMENSIONS == 3:
+        store(table, GATHERED + 16 * lane, sum_nodes(w * v, w * B_slab, w * B_middle, B_row))
+    else:
+        store(table, GATHERED + 16 * lane, sum_nodes(w * v, w * B_slab, zero, B_row))
+    if not MLS:
+        L_row = row_weights(constants, ROW_SLOPE, g) * v
+        if DIMENSIONS == 3:
+            store(table, GRADIENTS + 16 * lane, sum_nodes(zero, w * L_slab, w * L_middle, L_row))
+        else:
+            store(table, GRADIENTS + 16 * lane, sum_nodes(zero, w * L_slab, zero, L_row))
+
+
+GROUP = (1, 3, 0)  # of a physical axis, the group of a gathered row: 1 slab, 2 middle, 3 row
+
+
+def vector_2(columns):
+    return (columns[0], columns[1])
+
+
+def vector_3(columns):
+    return (columns[0], columns[1], columns[2])
+
+
+def matrix_2(columns):
+    x, y = 4 * GROUP[0], 4 * GROUP[1]
+    return (columns[x], columns[y], columns[x + 1], columns[y + 1])
+
+
+def matrix_3(columns):
+    x, y, z = 4 * GROUP[0], 4 * GROUP[1], 4 * GROUP[2]
+    return (
+        columns[x],
+        columns[y],
+        columns[z],
+        columns[x + 1],
+        columns[y + 1],
+        columns[z + 1],
+        columns[x + 2],
+        columns[y + 2],
+        columns[z + 2],
+    )
+
+
+vector_of, matrix_of = vector_2, matrix_2
+
+
+def size_of(place):
+    return where(place < 0, -place, place)
+
+
+def g2p(
+    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, layer_node, limits, ends, scratch,
+    first_nodes, constants, dt, dx, inv_dx, failure,
+):  # fmt: skip
+    """See loops.py for what the arguments are and what is returned."""
+    before = flush_denormals()
+    values, where_from, grid = reals.reshape(-1), places.reshape(-1), nodes.reshape(-1)
+    row, plane = nodes.shape[2] * 4, nodes.shape[1] * nodes.shape[2] * 4
+    speeds = waves = in_all_lanes(real(0.0))
+    drifts = in_all_lanes(integer(0))
+    for layer in range(first_layer, last_layer):
+        low_slab = place_at(limits[SLAB, 0] - 64 * (layer_node + layer))
+        high_slab = place_at(limits[SLAB, 1] - 64 * (layer_node + layer))
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            block, left, body = segments[s, 0], segments[s, 1], segments[s, 2]
+            params, density = load_parameters(table, body), table[body, DENSITY_COLUMN]
+            low_row, high_row = place_at(limits[ROW, 0] - 64 * segments[s, 4]), place_at(limits[ROW, 1] - 64 * segments[s, 4])
+            if DIMENSIONS == 3:
+                low_middle = place_at(limits[MIDDLE, 0] - 64 * segments[s, 3])
+                high_middle = place_at(limits[MIDDLE, 1] - 64 * segments[s, 3])
+            while left > 0:
+                o = block * (16 * FIELDS)
+                count = min(left, 16)
+                place_block(
+                    where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], nodes.shape[1] * nodes.shape[2],
+                    nodes.shape[2],
+                )  # fmt: skip
+                for lane in range(count):
+                    gather(grid, layer * plane + first_nodes[lane], plane, row, scratch, constants, lane)
+                nothing = in_all_lanes(real(0.0))
+                for lane in range(count, 16):  # what fills up a block stays where it is, unchanged
+                    store(scratch, GATHERED + 16 * lane, nothing)
+                    if not MLS:
+                        store(scratch, GRADIENTS + 16 * lane, nothing)
+                live = lanes_below(count)
+                columns = load_transposed(scratch, GATHERED)
+                v = vector_of(columns)
+                C = la.scale(INERTIA * inv_dx, matrix_of(columns))
+                if MLS:
+                    G = la.scale(dt, C)
+                else:
+                    G = la.scale(dt * inv_dx, matrix_of(load_transposed(scratch, GRADIENTS)))
+                state = law.advance(load_state(values, o + 16 * STATE_FIELD), G, params)
+                put(values, o + 16 * V_FIELD, v)
+                put(values, o + 16 * C_FIELD, C)
+                put(values, o + 16 * STATE_FIELD, state)
+
+                step = la.scale_vector(dt * inv_dx, v)
+                steady = la.within(step, 1.0)
+                slab = moved(where_from, o, SLAB, step)
+                along_row = moved(where_from, o, ROW, step)
+                far = size_of(slab - CENTRE)
+                near = far <= place_at(FARTHEST)
+                inside = (slab >= low_slab) & (slab <= high_slab) & (along_row >= low_row) & (along_row <= high_row)
+                if PERIODIC_ROW:
+                    far = max(far, beyond(along_row, place_at(ends[ROW, 0] - 64 * segments[s, 4]),
+                                          place_at(ends[ROW, 1] - 64 * segments[s, 4])))  # fmt: skip
+                if DIMENSIONS == 3:
+                    middle = moved(where_from, o, MIDDLE, step)
+                    inside = inside & (middle >= low_middle) & (middle <= high_middle)
+                    if PERIODIC_MIDDLE:
+                        far = max(far, beyond(middle, place_at(ends[MIDDLE, 0] - 64 * segments[s, 3]),
+                                              place_at(ends[MIDDLE, 1] - 64 * segments[s, 3])))  # fmt: skip
+                valid = law.valid(state)
+                if any_of(~(steady & near & inside & valid) & live):
+                    cause = where(valid, real(0.0), real(CAUSE_STATE))
+                    cause = where(inside, cause, real(CAUSE_LEFT))
+                    cause = where(steady & near, cause, real(CAUSE_POSITION))
+                    store(scratch, CAUSES, cause)
+                    fine = steady & near & inside & valid
+                    slab = where(fine, slab, load(where_from, o + 16 * SLAB))
+                    along_row = where(fine, along_row, load(where_from, o + 16 * ROW))
+                    if DIMENSIONS == 3:
+                        middle = where(fine, middle, load(where_from, o + 16 * MIDDLE))
+                    for lane in range(count):
+                        if scratch[CAUSES + lane] != 0.0 and failure[0] == 0:
+                            failure[0], failure[1], failure[2] = int(scratch[CAUSES + lane]), block, lane
+                store(where_from, o + 16 * SLAB, slab)
+                store(where_from, o + 16 * ROW, along_row)
+                if DIMENSIONS == 3:
+                    store(where_from, o + 16 * MIDDLE, middle)
+                speeds = max(speeds, where(live, la.dot(v, v), real(0.0)))
+                waves = max(waves, where(live, law.wave_speed_squared(state, params, density), real(0.0)))
+                drifts = max(drifts, far)
+                block += 1
+                left -= 16
+    restore_denormals(before)
+    return largest_lane(speeds), largest_lane(waves), largest_lane(drifts) * UNIT
+
+
+def moved(places, o, axis, step):
+    """The place along an axis after a step in cells, rounded to the nearest."""
+    whole = floor(step[axis] * ONE_CELL + 0.5)
+    return load(places, o + 16 * axis) + to_integer(where(abs(whole) <= ONE_CELL, whole, 0.0))
+
+
+def beyond(place, low, high):
+    """How far a place is outside low .. high, plus the drift of a settled particle."""
+    return max(low - place, place - high) + place_at(SETTLED)

@@ -1,0 +1,39 @@
+"""Places: positions as integers, in cells times 2^FRACTION, from a base node that many particles share.
+
+A place is exact wherever the particle is: no loss far from the origin, the same resolution everywhere, and a result that does
+not depend on the base. One base serves a segment of particles, so that a position costs one number per axis and no more.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+REACH = 110  # cells between a base node and the home nodes of its particles, at a regroup
+TRAVEL = 8.0  # cells a particle may travel from there: 110 + 8 + 1 stays inside the integers of float32 places
+
+
+@dataclass(frozen=True)
+class PlaceFormat:
+    """`fraction` bits for a part of a cell; the bits above count cells from the base."""
+
+    integer: np.dtype
+    fraction: int
+
+    @property
+    def unit(self):
+        """Cells per step of the integer; a power of two."""
+        return 2.0**-self.fraction
+
+    def from_cells(self, offset):
+        """Places of float offsets in cells, to the nearest."""
+        return np.rint(np.asarray(offset, np.float64) * 2.0**self.fraction).astype(self.integer)
+
+    def to_cells(self, place):
+        """Float64 offsets in cells; exact for float32 places."""
+        return place * self.unit
+
+
+FORMATS = {
+    np.dtype("float32"): PlaceFormat(np.dtype(np.int32), 24),
+    np.dtype("float64"): PlaceFormat(np.dtype(np.int64), 52),
+}

@@ -1,0 +1,254 @@
+"""P2G and G2P, particle after particle and node after node: the readable reference, and what runs where lanes do not pay.
+
+Arguments and results are explained in loops.py.
+"""
+
+from pmpm.kernels.lanes import flush_denormals, restore_denormals
+from pmpm.kernels.loops import (
+    CAUSE_LEFT,
+    CAUSE_POSITION,
+    CAUSE_STATE,
+    DENSITY_COLUMN,
+    FARTHEST,
+    MASS_COLUMN,
+    SETTLED,
+    VOLUME_COLUMN,
+    fold_layer,
+    load_parameters,
+    momentum_at,
+    place_at,
+)
+from pmpm.physics import tensors2 as la
+from pmpm.physics import transfer
+from pmpm.physics.bspline import slopes_quadratic as slopes
+from pmpm.physics.bspline import weights_quadratic as weights
+from pmpm.physics.materials import neo_hookean as law
+from pmpm.physics.words import floor
+
+real = integer = float
+DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
+NODES, MIDDLE_NODES, PADDING, INERTIA = 3, 1, 1, 4.0
+FRACTION, HALF, CENTRE, UNIT, ONE_CELL = 52, 1 << 51, 0, 2.0**-52, 2.0**52
+OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
+MLS = False
+PERIODIC_MIDDLE = PERIODIC_ROW = False
+V_FIELD, C_FIELD, STATE_FIELD = 2, 4, 8
+
+
+# ---- flat tuples, field by field ----------------------------------------------------------------------------------------
+
+
+def load_1(a, b, f, lane):
+    return (a[b, f, lane],)
+
+
+def load_2(a, b, f, lane):
+    return (a[b, f, lane], a[b, f + 1, lane])
+
+
+def load_3(a, b, f, lane):
+    return (a[b, f, lane], a[b, f + 1, lane], a[b, f + 2, lane])
+
+
+def load_4(a, b, f, lane):
+    return load_2(a, b, f, lane) + load_2(a, b, f + 2, lane)
+
+
+def load_6(a, b, f, lane):
+    return load_3(a, b, f, lane) + load_3(a, b, f + 3, lane)
+
+
+def load_7(a, b, f, lane):
+    return load_6(a, b, f, lane) + load_1(a, b, f + 6, lane)
+
+
+def load_9(a, b, f, lane):
+    return load_6(a, b, f, lane) + load_3(a, b, f + 6, lane)
+
+
+FIELD_TUPLES = {1: load_1, 2: load_2, 3: load_3, 4: load_4, 6: load_6, 7: load_7, 9: load_9}
+load_vector, load_matrix, load_state = load_2, load_4, load_4
+
+
+def store(a, b, f, lane, values):
+    for i in range(len(values)):
+        a[b, f + i, lane] = values[i]
+
+
+# ---- where a particle stands in its stencil ----------------------------------------------------------------------------
+
+
+def centre_of(place):
+    return (place + HALF) >> FRACTION
+
+
+def offset_of(place):
+    """Distance from the centre node in cells."""
+    return real(place - (centre_of(place) << FRACTION)) * UNIT
+
+
+def along_axes_2(function, u):
+    return (function(u[0]), function(u[1]))
+
+
+def along_axes_3(function, u):
+    return (function(u[0]), function(u[1]), function(u[2]))
+
+
+def node_of_axis(axis, a, b, c):
+    """Of the stencil node (a, b, c) along (slab, middle, row), its number along a physical axis."""
+    return a if axis == SLAB else (b if axis == MIDDLE else c)
+
+
+def stencil_node_2(w, dw, g, a, b, c):
+    """(weight, distance, slope) of one node of a 2-D stencil; the slope is a dead value where no transfer asks for it."""
+    i, j = node_of_axis(0, a, b, c), node_of_axis(1, a, b, c)
+    return w[0][i] * w[1][j], (OFFSETS[i] - g[0], OFFSETS[j] - g[1]), (dw[0][i] * w[1][j], w[0][i] * dw[1][j])
+
+
+def stencil_node_3(w, dw, g, a, b, c):
+    """(weight, distance, slope) of one node of a 3-D stencil."""
+    i, j, k = node_of_axis(0, a, b, c), node_of_axis(1, a, b, c), node_of_axis(2, a, b, c)
+    wij = w[0][i] * w[1][j]
+    slope = (dw[0][i] * w[1][j] * w[2][k], w[0][i] * dw[1][j] * w[2][k], wij * dw[2][k])
+    return wij * w[2][k], (OFFSETS[i] - g[0], OFFSETS[j] - g[1], OFFSETS[k] - g[2]), slope
+
+
+along_axes, stencil_node = along_axes_2, stencil_node_2
+
+
+# ---- P2G ----------------------------------------------------------------------------------------------------------------
+
+
+def p2g(
+    reals, places, segments, layer_start, first_layer, last_layer, table, windows, boxes, folds, targets, nodes,
+    plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx,
+):  # fmt: skip
+    before = flush_denormals()
+    for layer in range(first_layer, last_layer):
+        window, box = windows[(layer - first_layer) % windows.shape[0]], boxes[layer]
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            row = segments[s, 2]
+            mass, volume0, params = table[row, MASS_COLUMN], table[row, VOLUME_COLUMN], load_parameters(table, row)
+            minus_impulse = -(volume0 * dt) * inv_dx
+            for n in range(segments[s, 1]):
+                block, lane = segments[s, 0] + (n >> 4), n & 15
+                place = load_vector(places, block, 0, lane)
+                g = along_axes(offset_of, place)
+                w, dw = along_axes(weights, g), along_axes(slopes, g)
+                tau = law.kirchhoff_stress(load_state(reals, block, STATE_FIELD, lane), params)
+                C = load_matrix(reals, block, C_FIELD, lane)
+                M = transfer.affine_momentum(mass, C, volume0 * dt, tau, dx, inv_dx)
+                momentum = la.scale_vector(mass, load_vector(reals, block, V_FIELD, lane))
+                i0 = centre_of(place[SLAB]) + PADDING
+                j0 = segments[s, 3] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
+                k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
+                box[0], box[1] = min(box[0], j0), max(box[1], j0 + MIDDLE_NODES)
+                box[2], box[3] = min(box[2], k0), max(box[3], k0 + 4)
+                for a in range(NODES):
+                    for b in range(MIDDLE_NODES):
+                        for c in range(NODES):
+                            weight, d, slope = stencil_node(w, dw, g, a, b, c)
+                            given = transfer.node_momentum(weight, d, slope, momentum, M, tau, minus_impulse)
+                            for q in range(DIMENSIONS):
+                                window[i0 + a, j0 + b, k0 + c, q] += given[q]
+                            window[i0 + a, j0 + b, k0 + c, 3] += weight * mass
+        if folds:
+            fold_layer(window, box, targets[layer], nodes, plane_boxes, unsummed, slot_boxes)
+    restore_denormals(before)
+
+
+# ---- G2P ----------------------------------------------------------------------------------------------------------------
+
+
+def moved(place, step):
+    """The place after a step in cells, rounded to the nearest."""
+    return place + integer(floor(step * ONE_CELL + 0.5))
+
+
+def g2p(
+    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, layer_node, limits, ends, scratch,
+    first_nodes, constants, dt, dx, inv_dx, failure,
+):  # fmt: skip
+    before = flush_denormals()
+    speed_squared, wave_squared, drift = real(0.0), real(0.0), integer(0)
+    for layer in range(first_layer, last_layer):
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            row = segments[s, 2]
+            params, density = load_parameters(table, row), table[row, DENSITY_COLUMN]
+            base = node_of_segment(layer_node + layer, segments[s, 3], segments[s, 4])
+            for n in range(segments[s, 1]):
+                block, lane = segments[s, 0] + (n >> 4), n & 15
+                place = load_vector(places, block, 0, lane)
+                g = along_axes(offset_of, place)
+                w, dw = along_axes(weights, g), along_axes(slopes, g)
+                i0 = layer + centre_of(place[SLAB]) + PADDING
+                j0 = segments[s, 3] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
+                k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
+                v = la.scale_vector(0.0, g)
+                B = la.scale(0.0, load_matrix(reals, block, C_FIELD, lane))
+                L = B
+                for a in range(NODES):
+                    for b in range(MIDDLE_NODES):
+                        for c in range(NODES):
+                            weight, d, slope = stencil_node(w, dw, g, a, b, c)
+                            v_node = momentum_at(nodes, i0 + a, j0 + b, k0 + c)
+                            v = transfer.gather_velocity(v, weight, v_node)
+                            B = transfer.gather_affine(B, weight, v_node, d)
+                            if not MLS:
+                                L = transfer.gather_gradient(L, v_node, slope)
+                C = la.scale(INERTIA * inv_dx, B)
+                G = la.scale(dt, C) if MLS else la.scale(dt * inv_dx, L)
+                state = law.advance(load_state(reals, block, STATE_FIELD, lane), G, params)
+
+                step = la.scale_vector(dt * inv_dx, v)
+                cause = 0
+                if not law.valid(state):
+                    cause = CAUSE_STATE
+                far = integer(0)
+                if la.within(step, 1.0):
+                    for axis in range(DIMENSIONS):
+                        reached = moved(place[axis], step[axis])
+                        if reached < place_at(limits[axis, 0] - 64 * base[axis]) or reached > place_at(
+                            limits[axis, 1] - 64 * base[axis]
+                        ):
+                            cause = CAUSE_LEFT
+                        if axis == SLAB:
+                            far = max(far, abs(reached - CENTRE))
+                        elif (axis == MIDDLE and PERIODIC_MIDDLE) or (axis == ROW and PERIODIC_ROW):
+                            low, high = (place_at(ends[axis, 0] - 64 * base[axis]), place_at(ends[axis, 1] - 64 * base[axis]))
+                            far = max(far, max(low - reached, reached - high) + place_at(SETTLED))
+                    if abs(moved(place[SLAB], step[SLAB]) - CENTRE) > place_at(FARTHEST):
+                        cause = CAUSE_POSITION
+                else:
+                    cause = CAUSE_POSITION
+                if cause == 0:
+                    for axis in range(DIMENSIONS):
+                        places[block, axis, lane] = moved(place[axis], step[axis])
+                elif failure[0] == 0:
+                    failure[0], failure[1], failure[2] = cause, block, lane
+
+                store(reals, block, V_FIELD, lane, v)
+                store(reals, block, C_FIELD, lane, C)
+                store(reals, block, STATE_FIELD, lane, state)
+                speed_squared = max(speed_squared, la.dot(v, v))
+                wave_squared = max(wave_squared, law.wave_speed_squared(state, params, density))
+                drift = max(drift, far)
+    restore_denormals(before)
+    return speed_squared, wave_squared, real(drift) * UNIT
+
+
+def node_of_segment_2(slab, middle, row):
+    """Base node per physical axis."""
+    return (slab, row) if SLAB == 0 else (row, slab)
+
+
+def node_of_segment_3(slab, middle, row):
+    return (
+        node_of_axis(0, slab, middle, row),
+        node_of_axis(1, slab, middle, row),
+        node_of_axis(2, slab, middle, row),
+    )
+
+
+node_of_segment = node_of_segment_2
