@@ -153,7 +153,7 @@ class Method(Part):
     transfer: Annotated[str, choice(("apic", "mls"), ("pic", "flip"))] = Field(
         default="apic", description="transfer scheme"
     )
-    shape_function: Annotated[str, choice(("quadratic",), ("linear", "cubic"))] = Field(
+    shape_function: Annotated[str, choice(("quadratic", "cubic"), ("linear",))] = Field(
         default="quadratic", description="B-spline of the grid"
     )
     integrator: Annotated[str, choice(("explicit",))] = Field(default="explicit", description="time integration")
