@@ -21,8 +21,15 @@ from pmpm.physics import words
 
 FAST = {"contract", "nsz"}  # never nnan or ninf: guards such as `abs(x) <= limit` must hold for nan
 PRECISION_WORDS: dict = {
-    np.dtype("float32"): {"TINY": 1e-19, "SWEEPS": 5},
-    np.dtype("float64"): {"TINY": words.TINY, "SWEEPS": words.SWEEPS},
+    np.dtype("float32"): {
+        "TINY": 1e-19,
+        "SWEEPS": 5,
+        "EXPM1_OF_TWICE": words.EXPM1_OF_TWICE[-12:],
+        "ATANH_OVER_ROOT": words.ATANH_OVER_ROOT[-11:],
+    },
+    np.dtype("float64"): {
+        name: getattr(words, name) for name in ("TINY", "SWEEPS", "EXPM1_OF_TWICE", "ATANH_OVER_ROOT")
+    },
 }
 OUTSIDE = ("numba", "numpy", "math", "builtins")  # modules whose functions are taken as they are
 
@@ -134,7 +141,7 @@ def arrays(real, **choices):
     array_words = {
         name: getattr(np, name) for name in ("where", "floor", "sqrt", "exp", "log", "expm1", "log1p", "abs")
     }
-    array_words |= {"min": np.minimum, "max": np.maximum, "real": real}
+    array_words |= {"min": np.minimum, "max": np.maximum, "any_of": np.any, "real": real}
     return Target("arrays", real, array_words, lambda function, is_entry: function, choices)
 
 

@@ -93,6 +93,42 @@ def full(S):
     return (S[0], S[1], S[1], S[2])
 
 
+def where_symmetric(condition, A, B):
+    """A where the condition holds, else B, both symmetric."""
+    return (where(condition, A[0], B[0]), where(condition, A[1], B[1]), where(condition, A[2], B[2]))
+
+
+def product_commuting(A, B):
+    """A B for symmetric matrices that commute, so that the product is symmetric too."""
+    return (A[0] * B[0] + A[1] * B[1], A[0] * B[1] + A[1] * B[2], A[1] * B[1] + A[2] * B[2])
+
+
+def det_symmetric(S):
+    return S[0] * S[2] - S[1] * S[1]
+
+
+def adjugate_symmetric(S):
+    """det S S^-1."""
+    return (S[2], -S[1], S[0])
+
+
+def inverse_symmetric(S):
+    """S^-1 of a positive definite S; for any other S it means nothing, but divides by no zero."""
+    return scale_plus_diagonal(1.0 / max(det_symmetric(S), TINY), adjugate_symmetric(S), 0.0)
+
+
+def polynomial(coefficients, S):
+    """... + c2 S^2 + c1 S + c0 I for a symmetric S and (..., c2, c1, c0).
+
+    Horner's scheme on a I + b S: Cayley and Hamilton's S^2 = tr S S - det S I brings each product with S back to that form.
+    """
+    first, second = trace_symmetric(S), det_symmetric(S)
+    a = b = first - first
+    for coefficient in coefficients:
+        a, b = coefficient - b * second, a + b * first
+    return scale_plus_diagonal(b, S, a)
+
+
 def trace_symmetric(S):
     return S[0] + S[2]
 

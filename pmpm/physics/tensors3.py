@@ -133,6 +133,66 @@ def full(S):
     return (S[0], S[1], S[2], S[1], S[3], S[4], S[2], S[4], S[5])
 
 
+def where_symmetric(condition, A, B):
+    """A where the condition holds, else B, both symmetric."""
+    return (
+        where(condition, A[0], B[0]),
+        where(condition, A[1], B[1]),
+        where(condition, A[2], B[2]),
+        where(condition, A[3], B[3]),
+        where(condition, A[4], B[4]),
+        where(condition, A[5], B[5]),
+    )
+
+
+def product_commuting(A, B):
+    """A B for symmetric matrices that commute, so that the product is symmetric too."""
+    return (
+        A[0] * B[0] + A[1] * B[1] + A[2] * B[2],
+        A[0] * B[1] + A[1] * B[3] + A[2] * B[4],
+        A[0] * B[2] + A[1] * B[4] + A[2] * B[5],
+        A[1] * B[1] + A[3] * B[3] + A[4] * B[4],
+        A[1] * B[2] + A[3] * B[4] + A[4] * B[5],
+        A[2] * B[2] + A[4] * B[4] + A[5] * B[5],
+    )
+
+
+def adjugate_symmetric(S):
+    """det S S^-1."""
+    return (
+        S[3] * S[5] - S[4] * S[4],
+        S[2] * S[4] - S[1] * S[5],
+        S[1] * S[4] - S[2] * S[3],
+        S[0] * S[5] - S[2] * S[2],
+        S[1] * S[2] - S[0] * S[4],
+        S[0] * S[3] - S[1] * S[1],
+    )
+
+
+def det_symmetric(S):
+    A = adjugate_symmetric(S)
+    return S[0] * A[0] + S[1] * A[1] + S[2] * A[2]
+
+
+def inverse_symmetric(S):
+    """S^-1 of a positive definite S; for any other S it means nothing, but divides by no zero."""
+    return scale_plus_diagonal(1.0 / max(det_symmetric(S), TINY), adjugate_symmetric(S), 0.0)
+
+
+def polynomial(coefficients, S):
+    """... + c2 S^2 + c1 S + c0 I for a symmetric S and (..., c2, c1, c0).
+
+    Horner's scheme on a I + b S + c S^2: Cayley and Hamilton's S^3 = tr S S^2 - tr adj S S + det S I brings each product
+    with S back to that form, for three multiplications in place of a product of matrices.
+    """
+    first, second, third = trace_symmetric(S), trace_symmetric(adjugate_symmetric(S)), det_symmetric(S)
+    a = b = c = first - first
+    for coefficient in coefficients:
+        a, b, c = coefficient + c * third, a - c * second, b + c * first
+    P, Q = scale_plus_diagonal(b, S, a), product_commuting(S, S)
+    return (P[0] + c * Q[0], P[1] + c * Q[1], P[2] + c * Q[2], P[3] + c * Q[3], P[4] + c * Q[4], P[5] + c * Q[5])
+
+
 def trace_symmetric(S):
     return S[0] + S[3] + S[5]
 

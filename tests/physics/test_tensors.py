@@ -136,6 +136,7 @@ def words_and_numpy(la, dim, random):
     fA, fB, fS, fu, fv = flat(A), flat(B), flat_symmetric(S), tuple(map(float, u)), tuple(map(float, v))
     Q = random_rotation(random, dim)
     state = (*fS, 5.0)
+    P = A @ A.T + np.eye(dim)
     return {
         "det": (la.det(fA), np.linalg.det(A)),
         "trace": (la.trace(fA), np.trace(A)),
@@ -154,6 +155,16 @@ def words_and_numpy(la, dim, random):
         "isotropic": (symmetric(la.isotropic(d)), d * np.eye(dim)),
         "scale_plus_diagonal": (symmetric(la.scale_plus_diagonal(a, fS, d)), a * S + d * np.eye(dim)),
         "trace_symmetric": (la.trace_symmetric(fS), np.trace(S)),
+        "det_symmetric": (la.det_symmetric(fS), np.linalg.det(S)),
+        "adjugate_symmetric": (symmetric(la.adjugate_symmetric(fS)), np.linalg.det(S) * np.linalg.inv(S)),
+        "inverse_symmetric": (symmetric(la.inverse_symmetric(flat_symmetric(P))), np.linalg.inv(P)),
+        "product_commuting": (symmetric(la.product_commuting(fS, flat_symmetric(S @ S))), S @ S @ S),
+        "polynomial": (
+            symmetric(la.polynomial((0.1, -0.2, 0.3, 0.4, 0.5), fS)),
+            0.1 * S @ S @ S @ S - 0.2 * S @ S @ S + 0.3 * S @ S + 0.4 * S + 0.5 * np.eye(dim),
+        ),
+        "where_symmetric": (la.where_symmetric(True, fS, flat_symmetric(P)), fS),
+        "where_symmetric, else": (la.where_symmetric(False, fS, flat_symmetric(P)), flat_symmetric(P)),
         "norm_symmetric": (la.norm_symmetric(fS), np.linalg.norm(S)),
         "spectral": (symmetric(la.spectral(flat(Q), fu)), Q @ np.diag(u) @ Q.T),
         "each": (la.each(np.exp, fu), np.exp(u)),

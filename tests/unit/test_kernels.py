@@ -88,7 +88,7 @@ def test_mls_computes_no_weight_gradients(uncached):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_float32_kernels_hold_no_double_arithmetic(uncached, dim):
-    simulation = pmpm.Simulation(scene({"water": WATER, "rubber": RUBBER}, "float32", dim=dim))
+    simulation = pmpm.Simulation(scene({"water": WATER, "rubber": RUBBER, "sand": SAND}, "float32", dim=dim))
     double = re.compile(r"\bf(add|sub|mul|div|cmp)\b[^\n]*\bdouble\b")
     for name, text in compiled(simulation, simulation.kernels.entries).items():
         assert "float" in text
