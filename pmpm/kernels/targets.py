@@ -45,6 +45,17 @@ def bound_copy(function, mark, real, names):
     return copy
 
 
+def means_word(owner, name, value):
+    """Whether a word of the target may take the place of `name` in the module `owner`, where it stands for `value`.
+
+    In pmpm always; in a user's module where it is pmpm's, math's or built in: a user's own ROW or weights stays.
+    """
+    if (owner or "").startswith("pmpm.") or value is None or value is getattr(words, name, None):
+        return True
+    origin = str(getattr(value, "__module__", None) or getattr(value, "__name__", ""))
+    return origin == "math" or origin.startswith("pmpm.physics")
+
+
 class Target:
     """A way to compile: `label` and `real` (a numpy scalar type), `target_words`, `jit(function, is_entry)`, and choices."""
 
@@ -72,24 +83,26 @@ class Target:
             names, marks = {}, [self.label, code.co_code.hex(), repr(code.co_consts), repr(function.__defaults__)]
             for name in sorted(set(code.co_names)):
                 if name in self.words or name in function.__globals__:
-                    names[name], mark = self.replace(name, function.__globals__.get(name), set(code.co_names))
+                    own = function.__globals__.get(name)
+                    names[name], mark = self.replace(function.__module__, name, own, set(code.co_names))
                     marks.append(f"{name}:{mark}")
             digest = hashlib.sha256("|".join(marks).encode()).hexdigest()[:12]
             copy = bound_copy(function, f"{self.label}_{digest}", self.real, names)
             self.compiled[key] = self.jit(copy, is_entry), digest
         return self.compiled[key]
 
-    def replace(self, name, value, names):
-        """(replacement, fingerprint) of the global `name` in a function that uses `names`."""
-        value = self.words.get(name, value)
+    def replace(self, owner, name, value, names):
+        """(replacement, fingerprint) of the global `name` of the module `owner`, in a function that uses `names`."""
+        if means_word(owner, name, value):
+            value = self.words.get(name, value)
         if isinstance(value, FunctionType) and value.__module__.split(".")[0] not in OUTSIDE:
             return self.specialise(value, False)
         if isinstance(value, float):
             value = self.real(value)
-        if isinstance(value, ModuleType) and value.__name__.split(".")[0] not in OUTSIDE:
+        if isinstance(value, ModuleType) and value.__name__.split(".")[0] not in OUTSIDE[:2]:
             space, marks = ModuleType(f"{value.__name__}_{self.label}"), []
             for attribute in sorted(names & set(vars(value))):
-                inside, mark = self.replace(attribute, getattr(value, attribute), names)
+                inside, mark = self.replace(value.__name__, attribute, getattr(value, attribute), names)
                 setattr(space, attribute, inside)
                 marks.append(f"{attribute}:{mark}")
             return space, "".join(marks)
