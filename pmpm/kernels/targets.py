@@ -34,6 +34,10 @@ def in_precision(value, real):
     return value
 
 
+def in_pmpm(module):
+    return (module or "").startswith("pmpm.")
+
+
 def bound_copy(function, mark, real, names):
     """A copy of `function` with the globals `names` replaced, literals in precision `real`, and `mark` in its name."""
     if function.__closure__:
@@ -41,7 +45,8 @@ def bound_copy(function, mark, real, names):
     code = function.__code__.replace(co_consts=tuple(in_precision(c, real) for c in function.__code__.co_consts))
     copy = FunctionType(code, function.__globals__ | names, function.__name__, function.__defaults__)
     copy.__qualname__ = f"{function.__name__}_{mark}"
-    copy.__module__ = function.__module__
+    # A compiled kernel found on disk imports the modules of all it was made of: a user's may be missing in that process.
+    copy.__module__ = function.__module__ if in_pmpm(function.__module__) else __name__
     return copy
 
 
@@ -50,7 +55,7 @@ def means_word(owner, name, value):
 
     In pmpm always; in a user's module where it is pmpm's, math's or built in: a user's own ROW or weights stays.
     """
-    if (owner or "").startswith("pmpm.") or value is None or value is getattr(words, name, None):
+    if in_pmpm(owner) or value is None or value is getattr(words, name, None):
         return True
     origin = str(getattr(value, "__module__", None) or getattr(value, "__name__", ""))
     return origin == "math" or origin.startswith("pmpm.physics")

@@ -7,7 +7,7 @@ tried on single numbers and on arrays of numbers that watch what is done with th
 import dis
 import inspect
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from pmpm.kernels import cpu, targets
 from pmpm.physics import tensors2, tensors3
 from pmpm.scene.messages import Problem, Problems
+from pmpm.scene.values import finite
 
 MOST_PARAMETERS = max(cpu.ROWS) - 1  # of what a kernel loads from a row of its table; the first is the wave speed
 STRAIN = 1e-5  # of the finite differences around rest: about 1e-10 of error from the step and from rounding
@@ -23,8 +24,6 @@ WITHIN = 1e-4  # how far a given wave speed may miss the one found that way
 TRIED = 0.01  # strain at which one particle and arrays of them are compared
 WORDS = "exp, expm1, log, log1p, sqrt, abs, min, max, where"
 RULES = "see 'A law of your own' in docs/scene.md"
-
-Stress = Callable[..., tuple[float, ...]]
 
 
 def tensors_of(dim: int) -> ModuleType:
@@ -61,13 +60,13 @@ def complaints(value: Any) -> Iterator[str]:
         yield "must name its arguments one by one, without * and **"
     elif not names:
         yield "must take F, and then its parameters"
+    elif names[0].default is not names[0].empty:
+        yield "must take F without a default"
     elif len(names) > 1 + MOST_PARAMETERS:
         yield f"takes {len(names) - 1} parameters after F: at most {MOST_PARAMETERS}"
-    for p in names[1:]:
-        default = None if p.default is p.empty else p.default
-        if default is not None and (isinstance(default, bool) or not isinstance(default, int | float)):
-            yield f"must have a number as default of {p.name}"
-        elif default is not None and not math.isfinite(default):
+    for p in names:
+        given = p.default is not p.empty
+        if given and (isinstance(p.default, bool) or not isinstance(p.default, int | float) or not finite(p.default)):
             yield f"must have a finite number as default of {p.name}"
     yield from unfit(value, ())
 

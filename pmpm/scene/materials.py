@@ -37,7 +37,7 @@ class Material(Part):
         return self
 
     def __reduce__(self):
-        # The subclasses are made at import and have no name that pickle could find.
+        # The subclasses are made from tables of keys and have no name that pickle could find.
         return material, (self.model_dump(),)
 
     def wrong_law(self, dim: int) -> Iterator[Problem]:

@@ -193,12 +193,14 @@ print(report["kernels_compiled"], report["kernels_loaded"])
 """
 
 
-def test_a_second_process_finds_the_kernels_of_a_function_without_a_file(tmp_path):
+def test_a_second_process_finds_the_kernels_of_a_function_without_a_file_or_from_another_module(tmp_path):
+    """Of a function typed in, as in a notebook; in the first process it is in a module that the second one lacks."""
     environment = os.environ | {"PMPM_CACHE_DIR": str(tmp_path)}
     counts = []
-    for _ in range(2):
+    for module in ("elsewhere", "__main__"):
+        name = f"import sys\n__name__ = {module!r}\nsys.modules[__name__] = sys.modules['__main__']\n"
         done = subprocess.run(
-            [sys.executable, "-c", NOTEBOOK], env=environment, capture_output=True, text=True, timeout=240
+            [sys.executable, "-c", name + NOTEBOOK], env=environment, capture_output=True, text=True, timeout=240
         )
         assert done.returncode == 0, done.stderr
         counts.append(tuple(map(int, done.stdout.split())))
@@ -278,8 +280,10 @@ BAD = [
     ("star arguments", bare(STRESS, "F, mu, *more"), "without * and **"),
     ("keyword only", bare(STRESS, "F, *, mu"), "without * and **"),
     ("nothing to take", bare("return (0.0, 0.0, 0.0)", ""), "must take F"),
+    ("F with a default", bare(STRESS, "F=1.0, mu=1.0"), "must take F without a default"),
     ("many parameters", bare(STRESS, "F, mu, " + ", ".join(f"p{i}" for i in range(20))), "21 parameters after F: at most"),
-    ("default", bare(STRESS, "F, mu='soft'"), "must have a number as default of mu"),
+    ("default", bare(STRESS, "F, mu='soft'"), "must have a finite number as default of mu"),
+    ("default none", bare(STRESS, "F, mu=None"), "must have a finite number as default of mu"),
     ("default nan", bare(STRESS, "F, mu=math.nan"), "must have a finite number as default of mu"),
     ("taken name", bare(STRESS.replace("mu", "copy"), "F, copy"), "must not call a parameter copy"),
     ("recursion", (lambda f: f.__globals__.update(law=f) or f)(bare("return law(F, mu)")), "calls itself"),
