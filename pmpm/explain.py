@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pmpm.physics.materials import LAWS, PLANNED
+from pmpm.physics.materials import LAWS, PLANNED, python_law
 from pmpm.scene import seeding
 from pmpm.scene.errors import SceneError
 from pmpm.state.derived import PARAMETERS
@@ -84,7 +84,7 @@ def estimated_step(scene, needs, tables):
 def material_lines():
     """Text of `pmpm materials`."""
     lines = []
-    for name, law in LAWS.items():
+    for name, law in (LAWS | {"a Python function": python_law}).items():
         lines += [f"{name}: {(law.__doc__ or '').strip().splitlines()[0]}", f"    source: {law.SOURCE}"]
         lines += [f"    {key.name:20s} {key.unit:6s} {key.meaning}{default_text(key)}" for key in law.KEYS]
         kept = ", ".join(f"{field.name} ({field.meaning})" for field in law.STATE)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pmpm.physics.materials import LAWS
+from pmpm.physics.materials import law_of
 from pmpm.state.fields import KIND_SIZE
 
 
@@ -35,7 +35,7 @@ def stored_field(simulation, derived, name):
     """Rows of a stored field, nan where this law, or any law of the bodies, keeps no such field."""
     values = derived.field(name)
     if values is None:
-        laws = [LAWS[material.model] for material in simulation.scene.materials.values()]
+        laws = [law_of(material.model) for material in simulation.scene.materials.values()]
         size = max(KIND_SIZE[f.kind](simulation.dim) for law in laws for f in law.STATE if f.name == name)
         values = np.full((len(derived.population), size), np.nan, simulation.real)
     return values[:, 0] if values.shape[1] == 1 else values

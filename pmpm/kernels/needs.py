@@ -7,7 +7,7 @@ import numpy as np
 
 from pmpm.kernels.places import FORMATS
 from pmpm.physics import bspline, tensors2, tensors3
-from pmpm.physics.materials import LAWS
+from pmpm.physics.materials import law_of
 
 PADDING = 1  # cells a particle may drift from the layer it joined at the last regroup
 
@@ -71,7 +71,7 @@ class LawNeeds:
 
     @property
     def module(self):
-        return LAWS[self.model]
+        return law_of(self.model)
 
     @property
     def fields(self):
@@ -113,6 +113,6 @@ class Needs:
 
 def law_needs(model, keys):
     """The LawNeeds of a material with these keys."""
-    module = LAWS[model]
+    module = law_of(model)
     choices = tuple(sorted(module.choices(keys).items()))
     return LawNeeds(model, choices, tuple(field.name for field in module.state_fields(keys)))

@@ -43,6 +43,10 @@ def in_precision(value, real):
     return value
 
 
+def in_pmpm(module):
+    return (module or "").startswith("pmpm.")
+
+
 def bound_copy(function, mark, real, names):
     """A copy of `function` with the globals `names` replaced, literals in precision `real`, and `mark` in its name."""
     if function.__closure__:
@@ -50,8 +54,20 @@ def bound_copy(function, mark, real, names):
     code = function.__code__.replace(co_consts=tuple(in_precision(c, real) for c in function.__code__.co_consts))
     copy = FunctionType(code, function.__globals__ | names, function.__name__, function.__defaults__)
     copy.__qualname__ = f"{function.__name__}_{mark}"
-    copy.__module__ = function.__module__
+    # A compiled kernel found on disk imports the modules of all it was made of: a user's may be missing in that process.
+    copy.__module__ = function.__module__ if in_pmpm(function.__module__) else __name__
     return copy
+
+
+def means_word(owner, name, value):
+    """Whether a word of the target may take the place of `name` in the module `owner`, where it stands for `value`.
+
+    In pmpm always; in a user's module where it is pmpm's, math's or built in: a user's own ROW or weights stays.
+    """
+    if in_pmpm(owner) or value is None or value is getattr(words, name, None):
+        return True
+    origin = str(getattr(value, "__module__", None) or getattr(value, "__name__", ""))
+    return origin == "math" or origin.startswith("pmpm.physics")
 
 
 class Target:
@@ -85,24 +101,26 @@ class Target:
             names, marks = {}, [self.label, self.sources, code.co_code.hex(), repr(code.co_consts), repr(function.__defaults__)]
             for name in sorted(set(code.co_names)):
                 if name in self.words or name in function.__globals__:
-                    names[name], mark = self.replace(name, function.__globals__.get(name), set(code.co_names))
+                    own = function.__globals__.get(name)
+                    names[name], mark = self.replace(function.__module__, name, own, set(code.co_names))
                     marks.append(f"{name}:{mark}")
             digest = hashlib.sha256("|".join(marks).encode()).hexdigest()[:12]
             copy = bound_copy(function, f"{self.label}_{digest}", self.real, names)
             self.compiled[key] = self.jit(copy, is_entry), digest
         return self.compiled[key]
 
-    def replace(self, name, value, names):
-        """(replacement, fingerprint) of the global `name` in a function that uses `names`."""
-        value = self.words.get(name, value)
+    def replace(self, owner, name, value, names):
+        """(replacement, fingerprint) of the global `name` of the module `owner`, in a function that uses `names`."""
+        if means_word(owner, name, value):
+            value = self.words.get(name, value)
         if isinstance(value, FunctionType) and value.__module__.split(".")[0] not in OUTSIDE:
             return self.specialise(value, False)
         if isinstance(value, float):
             value = self.real(value)
-        if isinstance(value, ModuleType) and value.__name__.split(".")[0] not in OUTSIDE:
+        if isinstance(value, ModuleType) and value.__name__.split(".")[0] not in OUTSIDE[:2]:
             space, marks = ModuleType(f"{value.__name__}_{self.label}"), []
             for attribute in sorted(names & set(vars(value))):
-                inside, mark = self.replace(attribute, getattr(value, attribute), names)
+                inside, mark = self.replace(value.__name__, attribute, getattr(value, attribute), names)
                 setattr(space, attribute, inside)
                 marks.append(f"{attribute}:{mark}")
             return space, "".join(marks)

@@ -1,17 +1,21 @@
 """Materials of a scene: one table of keys per law, made from what the laws tell about themselves."""
 
-from functools import reduce
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache, reduce
 from operator import or_
-from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from types import FunctionType
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, create_model, model_validator
 
-from pmpm.physics.materials import LAWS, PLANNED
+from pmpm.physics.materials import LAWS, PLANNED, law_of, python_law
 from pmpm.physics.materials.keys import Key
-from pmpm.scene.messages import TAG, Problem, Problems, known_text
+from pmpm.scene import functions
+from pmpm.scene.messages import TAG, Problem, Problems, known_text, problems_in
 from pmpm.scene.part import Part
 from pmpm.scene.values import check_word, choice, flag, number
+
+RESERVED = ("function", "sound_speed")  # names that a function cannot give to its parameters
 
 
 class Material(Part):
@@ -21,20 +25,76 @@ class Material(Part):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The law's keys and their values, None where an optional key is not given."""
+        """The law's keys and their values, None where an optional key is not given; a Python law's `function` too."""
         return {name: value for name, value in self if name != "model"}
 
     @model_validator(mode="after")
     def check_combination(self) -> "Material":
         given = {name: value for name, value in self.parameters.items() if value is not None}
-        message = LAWS[self.model].conflicts(given)
+        message = law_of(self.model).conflicts(given)
         if message:
             raise Problems(Problem((), f"does not fit together: {message}"))
         return self
 
     def __reduce__(self):
-        # The subclasses are made at import and have no name that pickle could find.
+        # The subclasses are made from tables of keys and have no name that pickle could find.
         return material, (self.model_dump(),)
+
+    def wrong_law(self, dim: int) -> Iterator[Problem]:
+        """Yield what can be said against the law only once the number of dimensions is known."""
+        return iter(())
+
+    def complete(self, dim: int) -> "Material":
+        """Fill in what depends on the number of dimensions."""
+        return self
+
+    def table(self, dim: int) -> dict[str, Any]:
+        """Return the material as it stands in a scene file."""
+        return self.model_dump(exclude_none=True)
+
+
+class PythonMaterial(Material):
+    """A law that is a Python function; its parameters are fields of a subclass made for the function."""
+
+    function: ClassVar[Any]
+    density: float
+    sound_speed: float | None
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        return super().parameters | {"function": type(self).function}
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """What the function takes after F."""
+        return tuple(getattr(self, name) for name in python_law.parameter_names(type(self).function))
+
+    def __reduce__(self):
+        return material, (self.model_dump() | {"model": type(self).function},)
+
+    def wrong_law(self, dim: int) -> Iterator[Problem]:
+        function = type(self).function
+        try:
+            functions.check_stress(function, dim, self.numbers)
+            least = functions.speed_at_rest(function, dim, self.numbers, self.density)
+        except functions.Unfit as complaint:
+            yield functions.unfit_problem(function, complaint)
+            return
+        if least is None and self.sound_speed is None:
+            text = f"is missing: {function.__name__} has no stiffness at rest from which to find it (m/s)"
+            yield Problem(("sound_speed",), text)
+        elif least is not None and self.sound_speed is not None and self.sound_speed < least * (1.0 - functions.WITHIN):
+            text = f"m/s must be at least {least:.6g} m/s, the speed of waves at rest"
+            yield Problem(("sound_speed",), text, self.sound_speed)
+
+    def complete(self, dim: int) -> "Material":
+        if self.sound_speed is not None:
+            return self
+        found = functions.speed_at_rest(type(self).function, dim, self.numbers, self.density)
+        return self.model_copy(update={"sound_speed": found})
+
+    def table(self, dim: int) -> dict[str, Any]:
+        return super().table(dim) | {"model": f"{self.model}:{functions.digest(type(self).function, dim)}"}
 
 
 def field_of(key: Key) -> tuple[Any, Any]:
@@ -54,19 +114,44 @@ def field_of(key: Key) -> tuple[Any, Any]:
     return Annotated[float | None, check], Field(default, description=description)
 
 
-def model_of(name: str, law: ModuleType) -> Any:
+def model_of(name: str, keys: Iterable[Key], base: type[Material] = Material) -> Any:
     """Make the class of a law's materials from its table of keys."""
     model: Any = (Literal[name], Field(name))
-    fields: dict[str, Any] = {"model": model} | {key.name: field_of(key) for key in law.KEYS}
-    return create_model(name, __base__=Material, **fields)
+    fields: dict[str, Any] = {"model": model} | {key.name: field_of(key) for key in keys}
+    return create_model(name, __base__=base, **fields)
 
 
-MODELS: dict[str, Any] = {name: model_of(name, law) for name, law in LAWS.items()}
+MODELS: dict[str, Any] = {name: model_of(name, law.KEYS) for name, law in LAWS.items()}
+
+
+@cache
+def model_of_function(function: FunctionType) -> Any:
+    """Make the class of the materials of a function. Raises Problems if it gives a parameter a name that is taken."""
+    names, defaults = python_law.parameter_names(function), function.__defaults__ or ()
+    own = [name for name in names if name != "density"]
+    for name in own:
+        if name in RESERVED or name.startswith(("_", "model")) or hasattr(PythonMaterial, name):
+            raise Problems(Problem(("model",), f"must not call a parameter {name}: the name is taken", function))
+    default_of = dict(zip(names[len(names) - len(defaults) :], defaults, strict=True))
+    keys = [Key(name, "-", f"parameter of {function.__name__}", default_of.get(name)) for name in own]
+    model = model_of(python_law.PREFIX + function.__name__, [*python_law.KEYS, *keys], PythonMaterial)
+    model.function = function
+    return model
+
+
+def python_material(keys: Mapping[str, Any]) -> PythonMaterial:
+    """Make a material whose `model` is a function. Raises Problems."""
+    functions.check_function(keys["model"])
+    model = model_of_function(keys["model"])
+    try:
+        return model.model_validate({**keys, "model": model.model_fields["model"].default})
+    except ValidationError as error:
+        raise Problems(*problems_in(error.errors(include_url=False))) from None
 
 
 def material(keys: dict[str, Any]) -> Material:
     """Make a material from its keys, `model` among them."""
-    return MODELS[keys["model"]](**keys)
+    return python_material(keys) if callable(keys["model"]) else MODELS[keys["model"]](**keys)
 
 
 def check_material(value: Any) -> Any:
@@ -77,11 +162,19 @@ def check_material(value: Any) -> Any:
         raise Problems(Problem((), f"must be a table with a model; {known_text('', MODELS, 'known')}", value))
     if "model" not in value:
         raise Problems(Problem(("model",), f"is missing; {known_text('', MODELS, 'known')}"))
+    if callable(value["model"]):
+        return python_material(value)
+    if isinstance(value["model"], str) and value["model"].startswith(python_law.PREFIX):
+        name = value["model"].split(":")[1]
+        text = f"is a Python function, which a file does not hold: give {name} as the model, from Python"
+        raise Problems(Problem(("model",), text, value["model"]))
     check_word(value["model"], MODELS, PLANNED, ("model",))
     return value
 
 
 def material_tag(value: Any) -> str:
+    if isinstance(value, PythonMaterial):
+        return TAG + python_law.PREFIX
     return TAG + (value["model"] if isinstance(value, dict) else value.model)
 
 
@@ -89,7 +182,13 @@ if TYPE_CHECKING:
     AnyMaterial = Material
 else:
     AnyMaterial = Annotated[
-        reduce(or_, (Annotated[model, Tag(TAG + name)] for name, model in MODELS.items())),
+        reduce(
+            or_,
+            (
+                Annotated[model, Tag(TAG + name)]
+                for name, model in (MODELS | {python_law.PREFIX: PythonMaterial}).items()
+            ),
+        ),
         Discriminator(material_tag),
         BeforeValidator(check_material),
     ]

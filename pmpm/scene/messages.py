@@ -65,6 +65,8 @@ def literal(value: Any) -> str:
         return f"{{{', '.join(f'{key} = {literal(item)}' for key, item in value.items())}}}"
     if isinstance(value, int) and value.bit_length() > 512:
         return f"an integer of {value.bit_length()} bits"
+    if callable(value):
+        return getattr(value, "__name__", type(value).__name__)
     return " ".join((value.isoformat() if hasattr(value, "isoformat") else repr(value)).split())
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import tomli_w
 from pydantic import BeforeValidator, Field, ValidationError, field_serializer, model_serializer, model_validator
 
-from pmpm.physics.materials import LAWS
+from pmpm.physics.materials import LAWS, law_of
 from pmpm.scene import files
-from pmpm.scene.materials import AnyMaterial
+from pmpm.scene.materials import AnyMaterial, Material
 from pmpm.scene.messages import Problem, Problems, known_text, scene_error, value_text
 from pmpm.scene.part import Part
 from pmpm.scene.shapes import AXES, Shape, wrong_length
@@ -273,13 +273,23 @@ class Scene(Part):
     def list_of_bodies(self, bodies: tuple[Body, ...]) -> list[dict[str, Any]]:
         return [body.model_dump(exclude_none=True) for body in bodies]
 
+    @field_serializer("materials")
+    def tables_of_materials(self, materials: dict[str, Material]) -> dict[str, dict[str, Any]]:
+        return {name: material.table(self.dim) for name, material in materials.items()}
+
     @model_validator(mode="after")
     def complete(self) -> "Scene":
         """Check what depends on more than one table and fill in what depends on dimension and duration."""
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_body(body, index)]
         problems += self.wrong_fields()
+        for name, material in self.materials.items():
+            problems += [
+                Problem(("materials", name, *problem.path), problem.text, problem.value)
+                for problem in material.wrong_law(self.dim)
+            ]
         if problems:
             raise Problems(*problems)
+        settle(self, materials={name: material.complete(self.dim) for name, material in self.materials.items()})
         settle(self, bodies=tuple(self.complete_body(body) for body in self.bodies))
         settle(self, output=self.complete_output())
         return self
@@ -323,7 +333,7 @@ class Scene(Part):
 
     def wrong_pressure(self, body: Body, path: tuple[str | int, ...]) -> Iterator[Problem]:
         model = self.materials[body.material].model
-        if not hasattr(LAWS[model], "hydrostatic_state"):
+        if not hasattr(law_of(model), "hydrostatic_state"):
             liquids = [name for name, law in LAWS.items() if hasattr(law, "hydrostatic_state")]
             yield Problem(path, f"is for {', '.join(liquids)} only; {body.material} is {model}", body.pressure)
         elif np.count_nonzero(self.domain.gravity) != 1:
@@ -331,7 +341,7 @@ class Scene(Part):
             yield Problem(path, f"needs gravity along exactly one axis; domain.gravity = {gravity} m/s2", body.pressure)
 
     def wrong_fields(self) -> Iterator[Problem]:
-        laws = [(LAWS[material.model], material.parameters) for material in self.materials.values()]
+        laws = [(law_of(material.model), material.parameters) for material in self.materials.values()]
         states = [field.name for law, parameters in laws for field in law.state_fields(parameters)]
         known = list(dict.fromkeys((*FIELDS, *states)))
         for index, name in enumerate(self.output.fields):

@@ -64,7 +64,7 @@ class DerivedFields:
             entries = (tau[0], tau[2], self.evaluate("out_of_plane_stress", self.params), tau[1], zero, zero)
         else:
             entries = (tau[0], tau[3], tau[5], tau[1], tau[4], tau[2])
-        return np.stack(entries, axis=-1) / self.J()[:, None]
+        return np.stack(np.broadcast_arrays(*entries), axis=-1) / self.J()[:, None]
 
     def pressure(self):
         sigma = self.stress()

@@ -9,7 +9,12 @@
 undeformed volume.
 """
 
-from pmpm.physics.materials import drucker_prager, fluid, neo_hookean
+from pmpm.physics.materials import drucker_prager, fluid, neo_hookean, python_law
 
 LAWS = {"neo_hookean": neo_hookean, "fluid": fluid, "drucker_prager": drucker_prager}
 PLANNED = ("fixed_corotated", "hencky", "snow", "von_mises", "cam_clay", "mu_i", "bingham")
+
+
+def law_of(model):
+    """The module of a model: one of LAWS, or the one around a function, whose model is called python:<name>."""
+    return python_law if model.startswith(python_law.PREFIX) else LAWS[model]
