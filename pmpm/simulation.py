@@ -104,8 +104,15 @@ class Simulation:
             before, after = arrivals or (nothing, nothing)
             self.populations.append(
                 assemble(
-                    particles, before, after, self.geometry, self.kernels, self.first_layer, layers,
-                    len(self.scene.bodies), self.pad_values(layout),
+                    particles,
+                    before,
+                    after,
+                    self.geometry,
+                    self.kernels,
+                    self.first_layer,
+                    layers,
+                    len(self.scene.bodies),
+                    self.pad_values(layout),
                 )  # fmt: skip
             )
 

@@ -133,11 +133,14 @@ def lane_choices(needs):
     """What the loops on lanes take besides."""
     two, n = needs.dim == 2, needs.stencil.nodes
     group = {needs.axes[0]: 1, needs.axes[1]: 2, needs.axes[2]: 3}
-    by_nodes = {name: getattr(lane_loops, f"{name}_{n}") for name in ("moments", "row_weights", "add_particle", "flush")}
+    by_nodes = {
+        name: getattr(lane_loops, f"{name}_{n}") for name in ("moments", "row_weights", "add_particle", "flush")
+    }
     across = 1 if two else n
     by_middle = {name: getattr(lane_loops, f"{name}_{across}") for name in ("add_slab", "flush_slab", "gather_slab")}
     by_dimension = {
-        name: getattr(lane_loops, f"{name}_{needs.dim}") for name in ("store_column", "store_constant", "vector", "matrix")
+        name: getattr(lane_loops, f"{name}_{needs.dim}")
+        for name in ("store_column", "store_constant", "vector", "matrix")
     }
     return {
         "load_vector": lane_loops.FIELD_TUPLES[needs.dim],
@@ -161,7 +164,7 @@ def law_choices(law, layout, parameter_count, tuples):
         "law": law.module,
         "FIELDS": layout.size,
         "load_state": tuples[layout.size - layout.state_first],
-        "load_parameters": loops.ROWS[parameter_count],
+        "PARAMETERS": parameter_count,
     }
 
 

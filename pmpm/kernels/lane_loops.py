@@ -184,9 +184,9 @@ def row_weights_3(constants, at, g):
 
 def row_weights_4(constants, at, g):
     """Cubic."""
-    return (
-        (load(constants, at + 48) * g + load(constants, at + 32)) * g + load(constants, at + 16)
-    ) * g + load(constants, at)
+    return ((load(constants, at + 48) * g + load(constants, at + 32)) * g + load(constants, at + 16)) * g + load(
+        constants, at
+    )
 
 
 row_weights = row_weights_3
@@ -489,7 +489,9 @@ def gather(nodes, o, plane, row, table, constants, lane):
     """Sums over the stencil of one particle: (v | B along slab | middle | row), and the gradient likewise, into scratch."""
     g = in_all_lanes(table[ROW_G + lane])
     zero = in_all_lanes(real(0.0))
-    v, B_slab, B_middle, L_slab, L_middle = gather_slabs((zero, zero, zero, zero, zero), nodes, o, plane, row, table, lane)
+    v, B_slab, B_middle, L_slab, L_middle = gather_slabs(
+        (zero, zero, zero, zero, zero), nodes, o, plane, row, table, lane
+    )
     w = row_weights(constants, ROW_WEIGHT, g)
     B_row = w * v * (load(constants, ROW_DISTANCE) - g)
     if DIMENSIONS == 3:
@@ -558,7 +560,10 @@ def g2p(
         for s in range(layer_start[layer], layer_start[layer + 1]):
             block, left, body = segments[s, 0], segments[s, 1], segments[s, 2]
             params, density = load_parameters(table, body), table[body, DENSITY_COLUMN]
-            low_row, high_row = place_at(limits[ROW, 0] - 64 * segments[s, 4]), place_at(limits[ROW, 1] - 64 * segments[s, 4])
+            low_row, high_row = (
+                place_at(limits[ROW, 0] - 64 * segments[s, 4]),
+                place_at(limits[ROW, 1] - 64 * segments[s, 4]),
+            )
             if DIMENSIONS == 3:
                 low_middle = place_at(limits[MIDDLE, 0] - 64 * segments[s, 3])
                 high_middle = place_at(limits[MIDDLE, 1] - 64 * segments[s, 3])

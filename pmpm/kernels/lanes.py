@@ -346,7 +346,9 @@ def clamped(builder, x, low, high):
 
 def reduce_exponent(builder, x, form):
     """(r, k as int32) with x = r + k ln 2 and |r| <= ln 2 / 2."""
-    half = builder.select(compare(builder, "<", x, constant(x.type, 0.0)), constant(x.type, -0.5), constant(x.type, 0.5))
+    half = builder.select(
+        compare(builder, "<", x, constant(x.type, 0.0)), constant(x.type, -0.5), constant(x.type, 0.5)
+    )
     nearest = builder.fptosi(multiply_add(builder, x, constant(x.type, 1 / math.log(2)), half), form.int32)
     k = builder.sitofp(nearest, x.type)
     r = multiply_add(builder, k, constant(x.type, -LN2_HIGH), x)

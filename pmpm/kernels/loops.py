@@ -19,13 +19,15 @@ first particle that fails is written to `failure` (cause, block, lane) and keeps
 what it is beyond the end of a periodic axis.
 """
 
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
 from pmpm.kernels.lanes import flush_denormals, load, repeat_mass, restore_denormals, store, where, with_mass_of
 from pmpm.physics import boundary
 from pmpm.physics import tensors2 as la
 
 real = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
-FRACTION = 52
+FRACTION, PARAMETERS = 52, 2
 MASS_COLUMN, VOLUME_COLUMN, DENSITY_COLUMN, PARAMETER_COLUMN = 0, 1, 2, 3
 FARTHEST = 95  # 64ths of a cell from the middle of a layer: a stencil stays inside the layer's padded planes
 SETTLED = 32  # the farthest right after a regroup
@@ -41,24 +43,9 @@ def place_at(sixty_fourths):
     return max(-64 * OVERFLOW, min(64 * OVERFLOW, sixty_fourths)) << (FRACTION - 6)
 
 
-def row_1(table, row):
-    return (table[row, PARAMETER_COLUMN],)
-
-
-def row_2(table, row):
-    return (table[row, PARAMETER_COLUMN], table[row, PARAMETER_COLUMN + 1])
-
-
-def row_3(table, row):
-    return row_2(table, row) + (table[row, PARAMETER_COLUMN + 2],)
-
-
-def row_4(table, row):
-    return row_3(table, row) + (table[row, PARAMETER_COLUMN + 3],)
-
-
-ROWS = {1: row_1, 2: row_2, 3: row_3, 4: row_4}
-load_parameters = row_2
+def load_parameters(table, row):
+    """The law's parameters of one body as a tuple."""
+    return to_fixed_tuple(table[row, PARAMETER_COLUMN:], PARAMETERS)
 
 
 # ---- sums of layers ------------------------------------------------------------------------------------------------------

@@ -216,7 +216,10 @@ def g2p(
                         if axis == SLAB:
                             far = max(far, abs(reached - CENTRE))
                         elif (axis == MIDDLE and PERIODIC_MIDDLE) or (axis == ROW and PERIODIC_ROW):
-                            low, high = (place_at(ends[axis, 0] - 64 * base[axis]), place_at(ends[axis, 1] - 64 * base[axis]))
+                            low, high = (
+                                place_at(ends[axis, 0] - 64 * base[axis]),
+                                place_at(ends[axis, 1] - 64 * base[axis]),
+                            )
                             far = max(far, max(low - reached, reached - high) + place_at(SETTLED))
                     if abs(moved(place[SLAB], step[SLAB]) - CENTRE) > place_at(FARTHEST):
                         cause = CAUSE_POSITION

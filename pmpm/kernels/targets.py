@@ -98,7 +98,10 @@ class Target:
         key = function, is_entry
         if key not in self.compiled:
             code = function.__code__
-            names, marks = {}, [self.label, self.sources, code.co_code.hex(), repr(code.co_consts), repr(function.__defaults__)]
+            names, marks = (
+                {},
+                [self.label, self.sources, code.co_code.hex(), repr(code.co_consts), repr(function.__defaults__)],
+            )
             for name in sorted(set(code.co_names)):
                 if name in self.words or name in function.__globals__:
                     own = function.__globals__.get(name)

@@ -87,9 +87,7 @@ class Halo:
 
     def start(self):
         """Send the shared planes on their way."""
-        sends = [
-            (peer, tag, message.packed(self.kernels.pack, *what)) for peer, tag, message, what in self.sends
-        ]
+        sends = [(peer, tag, message.packed(self.kernels.pack, *what)) for peer, tag, message, what in self.sends]
         return self.comm.start_exchange(sends, self.receives)
 
     def finish(self, handle):

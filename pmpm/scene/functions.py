@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from pmpm.kernels import cpu, targets
+from pmpm.kernels import targets
 from pmpm.physics import tensors2, tensors3
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.values import finite
 
-MOST_PARAMETERS = max(cpu.ROWS) - 1  # of what a kernel loads from a row of its table; the first is the wave speed
 STRAIN = 1e-5  # of the finite differences around rest: about 1e-10 of error from the step and from rounding
 WITHIN = 1e-4  # how far a given wave speed may miss the one found that way
 TRIED = 0.01  # strain at which one particle and arrays of them are compared
@@ -62,8 +61,6 @@ def complaints(value: Any) -> Iterator[str]:
         yield "must take F, and then its parameters"
     elif names[0].default is not names[0].empty:
         yield "must take F without a default"
-    elif len(names) > 1 + MOST_PARAMETERS:
-        yield f"takes {len(names) - 1} parameters after F: at most {MOST_PARAMETERS}"
     for p in names:
         given = p.default is not p.empty
         if given and (isinstance(p.default, bool) or not isinstance(p.default, int | float) or not finite(p.default)):

@@ -20,9 +20,7 @@ def scene_needs(scene):
     method = scene.method
     slab_axis = int(np.argmax(scene.cells))
     periodic = tuple("xyz"[axis] in scene.domain.periodic for axis in range(scene.dim))
-    return Needs(
-        scene.dim, method.precision, method.transfer, method.shape_function, slab_axis, periodic, laws, walls
-    )
+    return Needs(scene.dim, method.precision, method.transfer, method.shape_function, slab_axis, periodic, laws, walls)
 
 
 def grid_geometry(scene, needs):

@@ -148,7 +148,10 @@ class Population:
     def at(self, node, place):
         """The particles as a Cloud, in order, at other places (n, dim) from these nodes (n, dim)."""
         cloud = Cloud(
-            self.rows(slice(None)), node.astype(np.int32), self.per_particle(self.block_row).astype(np.int32), self.id[self.lanes]
+            self.rows(slice(None)),
+            node.astype(np.int32),
+            self.per_particle(self.block_row).astype(np.int32),
+            self.id[self.lanes],
         )
         cloud.places[:, : node.shape[1]] = place
         return cloud
@@ -223,7 +226,9 @@ def assemble(loose, before, after, geometry, kernels, first_layer, layers, body_
     count, axes = len(source), np.array(geometry.axes)
     order, scratch = np.empty(count, np.int64), np.empty(count, np.int64)
     buckets = max(layers * body_count, max((geometry.extent(axis) for axis in range(geometry.dim)), default=0)) + 2
-    kernels.cell_order(homes, bodies, axes, first_layer, layers, body_count, np.empty(buckets, np.int64), scratch, order)
+    kernels.cell_order(
+        homes, bodies, axes, first_layer, layers, body_count, np.empty(buckets, np.int64), scratch, order
+    )
     segments, layer_start = np.empty((count, SEGMENT_COLUMNS), np.int64), np.zeros(layers + 1, np.int64)
     used, blocks = kernels.cut_segments(homes, bodies, order, axes, first_layer, segments, layer_start)
     segments = segments[:used].copy()
