@@ -64,14 +64,14 @@ class Contestant:
 
 TAICHI_1 = Contestant("Taichi", "peers.taichi_mpm", steps=2)
 WARP_1 = Contestant("Warp", "peers.warp_mpm", steps=3)
-PMPM = Contestant("pmpm", "peers.pmpm_mpm", steps=16)
+PMPM = Contestant("pmpm", "peers.pmpm_mpm", steps=20)
 FLOAT64 = Contestant("pmpm float64", "peers.pmpm_mpm", ("--precision", "float64"))
 ONLY_AVX2 = Contestant("pmpm AVX2", "peers.pmpm_mpm", environment=AVX2)
 SHUFFLED = Contestant("pmpm shuffled", "peers.pmpm_mpm", ("--shuffled",))
 CUBIC = Contestant("pmpm cubic", "peers.pmpm_mpm", ("--shape-function", "cubic"), same_problem=False)
 PLANE = Contestant("pmpm 2-D", "peers.pmpm_mpm", ("--dim", "2"), same_problem=False)
 TAICHI_2 = Contestant("Taichi, 2 threads", "peers.taichi_mpm", steps=2, two_cores=True)
-PMPM_2 = Contestant("pmpm, 2 ranks", "peers.pmpm_mpm", steps=16, ranks=2, two_cores=True)
+PMPM_2 = Contestant("pmpm, 2 ranks", "peers.pmpm_mpm", steps=20, ranks=2, two_cores=True)
 ON_ONE_CORE = (TAICHI_1, WARP_1, PMPM)
 # A user-defined law joins W1 here, beside the built-in law it copies, once a scene can hold one.
 ALL = {

@@ -73,7 +73,6 @@ class PmpmSteps:
         self.row = np.arange(self.particles)
         if shuffled:
             self.row = np.random.default_rng(1).permutation(self.particles)
-        self.start(fast=False)
         self.simulation.step()
 
     def facts(self):
