@@ -274,7 +274,7 @@ def goals(measured, names):
         ]
         for pace in (ORDINARY, FAST):
             others = [d for (n, p, _), d in measured.differences.items() if (n, p) == (name, pace)]
-            worst = float(max(others)) if others else None
+            worst = float(np.max(others)) if others else None  # nan if any is
             found.append(Goal(f"{name}, {pace}: positions differ by (m)", worst, DIFFERENCE, at_least=False))
     return found
 

@@ -80,7 +80,11 @@ def number(value):
     """A value with as many places as a reader needs; a dash for None."""
     if value is None:
         return "-"
-    return f"{value:.1e}" if 0.0 < abs(value) < 1e-2 else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+    if value == 0.0 or isinstance(value, int):
+        return f"{value:.0f}"
+    if abs(value) < 1e-2:
+        return f"{value:.1e}"
+    return f"{value:#.3g}" if abs(value) < 100.0 else f"{value:.1f}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
 def spread_text(rounds):
@@ -198,7 +202,7 @@ def write(docs, tables_text, measured, goals, machine, minutes, failed):
     plot(measured, goals, docs / "pictures" / "kernels.png")
     processor, versions = machine
     intro = PAGE.format(minutes=minutes, processor=processor, versions=versions)
-    verdict = "All musts hold." if not failed else "Musts that fail: " + "; ".join(failed) + "."
+    verdict = "All musts hold." if not failed else "Musts that fail:\n\n" + "\n".join(f"- {text}" for text in failed)
     picture = "![ns per particle-step](../pictures/kernels.png)\n"
     page = "\n\n".join([intro + verdict, picture + "\n" + tables_text, NOTES])
     (docs / "results" / "kernels.md").write_text(page, encoding="utf-8")
