@@ -55,7 +55,7 @@ class Contestant:
     label: str
     module: str
     arguments: tuple = ()
-    steps: int = 12
+    steps: int = 20
     ranks: int = 1
     two_cores: bool = False
     environment: dict = field(default_factory=dict, hash=False)
@@ -64,14 +64,14 @@ class Contestant:
 
 TAICHI_1 = Contestant("Taichi", "peers.taichi_mpm", steps=2)
 WARP_1 = Contestant("Warp", "peers.warp_mpm", steps=3)
-PMPM = Contestant("pmpm", "peers.pmpm_mpm", steps=20)
+PMPM = Contestant("pmpm", "peers.pmpm_mpm")
 FLOAT64 = Contestant("pmpm float64", "peers.pmpm_mpm", ("--precision", "float64"))
 ONLY_AVX2 = Contestant("pmpm AVX2", "peers.pmpm_mpm", environment=AVX2)
 SHUFFLED = Contestant("pmpm shuffled", "peers.pmpm_mpm", ("--shuffled",))
 CUBIC = Contestant("pmpm cubic", "peers.pmpm_mpm", ("--shape-function", "cubic"), same_problem=False)
 PLANE = Contestant("pmpm 2-D", "peers.pmpm_mpm", ("--dim", "2"), same_problem=False)
 TAICHI_2 = Contestant("Taichi, 2 threads", "peers.taichi_mpm", steps=2, two_cores=True)
-PMPM_2 = Contestant("pmpm, 2 ranks", "peers.pmpm_mpm", steps=20, ranks=2, two_cores=True)
+PMPM_2 = Contestant("pmpm, 2 ranks", "peers.pmpm_mpm", ranks=2, two_cores=True)
 ON_ONE_CORE = (TAICHI_1, WARP_1, PMPM)
 # A user-defined law joins W1 here, beside the built-in law it copies, once a scene can hold one.
 ALL = {
@@ -298,7 +298,7 @@ def machine():
     lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
     cores = len(os.sched_getaffinity(0))
-    packages = ("numba", "numpy", "taichi", "warp-lang", "mpich")
+    packages = ("numba", "numpy", "taichi", "warp-lang", "mpi4py")
     versions = ", ".join(f"{name} {version(name)}" for name in packages)
     return f"{model}, {cores} cores", f"Python {platform.python_version()}, {versions}"
 

@@ -199,6 +199,8 @@ def difference_table(measured, names):
 
 def write(docs, tables_text, measured, goals, machine, minutes, failed):
     """results/kernels.md and pictures/kernels.png in the folder `docs`."""
+    for folder in ("results", "pictures"):
+        (docs / folder).mkdir(parents=True, exist_ok=True)
     plot(measured, goals, docs / "pictures" / "kernels.png")
     processor, versions = machine
     intro = PAGE.format(minutes=minutes, processor=processor, versions=versions)
