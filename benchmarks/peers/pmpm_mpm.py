@@ -1,0 +1,143 @@
+"""pmpm as a contestant: whole steps through `pmpm.Simulation.step()`, on one rank or under mpiexec on as many as cores."""
+
+import argparse
+import dataclasses
+
+import contest
+import numpy as np
+from workloads import (
+    BULK_MODULUS,
+    DENSITY,
+    FRICTION_ANGLE,
+    GRAVITY,
+    POISSON_RATIO,
+    STEP,
+    YOUNGS_MODULUS,
+    Workload,
+    start,
+)
+
+import pmpm
+
+ELASTIC = {"density": DENSITY, "youngs_modulus": YOUNGS_MODULUS, "poisson_ratio": POISSON_RATIO}
+MATERIALS = {
+    "W1": {"model": "neo_hookean", **ELASTIC},
+    "W2": {"model": "drucker_prager", **ELASTIC, "friction_angle": FRICTION_ANGLE},
+    "W3": {"model": "fluid", "density": DENSITY, "bulk_modulus": BULK_MODULUS, "gamma": 1.0},
+}
+
+
+def scene(workload, precision, shape_function):
+    """The block on a lattice; `PmpmSteps.start` moves its particles to the places of the workload."""
+    dim, cell = workload.dim, workload.cell_size
+    low, high = (cell * c for c in (workload.first_cell, workload.first_cell + workload.block_cells))
+    box = {"type": "box", "min": [low] * dim, "max": [high] * dim}
+    return pmpm.Scene(
+        title=f"{workload.name}: a block of {workload.particles} particles",
+        domain={
+            "size": [workload.domain_cells * cell] * dim,
+            "cell_size": cell,
+            "gravity": [0.0, GRAVITY, 0.0][:dim],
+        },
+        method={"precision": precision, "transfer": "mls", "shape_function": shape_function},
+        time={"end": 1.0, "step": STEP},
+        materials={"block": MATERIALS[workload.name]},
+        bodies=[{"material": "block", "shape": box, "particles_per_cell": workload.particles_per_cell}],
+    )
+
+
+def bytes_held(simulation):
+    """Of all particle arrays, ids included, pads included."""
+    return sum(
+        getattr(population, field.name).nbytes
+        for population in simulation.populations
+        for field in dataclasses.fields(population)
+        if isinstance(getattr(population, field.name), np.ndarray)
+    )
+
+
+def bytes_of_ids(simulation):
+    """The one array that kernels never touch."""
+    return sum(population.id.nbytes for population in simulation.populations)
+
+
+class PmpmSteps:
+    def __init__(self, workload, precision, shape_function, shuffled, comm):
+        self.workload, self.comm = workload, comm
+        self.simulation = pmpm.Simulation(scene(workload, precision, shape_function), comm)
+        ids = self.simulation.particles.id
+        self.ids = np.sort(ids if comm is None else np.concatenate(comm.allgather(ids)))
+        self.particles = len(self.ids)
+        assert self.particles == workload.particles
+        # Row of the workload that each id, in order, stands for.
+        self.row = np.arange(self.particles)
+        if shuffled:
+            self.row = np.random.default_rng(1).permutation(self.particles)
+        self.simulation.step()
+
+    def facts(self):
+        held, own = bytes_held(self.simulation), self.simulation.rows()
+        touched = held - bytes_of_ids(self.simulation)
+        return {"version": pmpm.__version__, "held": held / own, "touched": touched / own}
+
+    def rows(self):
+        """Row of the workload of each particle of this rank."""
+        return self.row[np.searchsorted(self.ids, self.simulation.particles.id)]
+
+    def start(self, fast):
+        first, dim = start(self.workload, fast), self.workload.dim
+        particles = self.simulation.particles
+        particles.x = first.x[self.rows()]
+        rows = self.rows()  # assigning x has sorted the particles
+        particles.v = first.v[rows]
+        particles.C = np.zeros((len(rows), dim, dim))
+        if self.workload.name == "W1":
+            particles.F = first.F[rows]
+        elif self.workload.name == "W2":
+            particles.hencky_strain = first.strain[rows][:, *np.triu_indices(dim)]
+            particles.v_c = first.v_c[rows]
+        else:
+            particles.J = np.ones(len(rows))
+
+    def step(self):
+        self.simulation.step()
+
+    def phases(self):
+        return self.simulation.timers.seconds
+
+    def sorts(self):
+        return self.simulation.regroups
+
+    def positions(self):
+        own = self.rows(), self.simulation.particles.x
+        pieces = [own] if self.comm is None else self.comm.gather(own)
+        if pieces is None:
+            return None
+        x = np.empty((self.particles, self.workload.dim))
+        for rows, values in pieces:
+            x[rows] = values
+        return x
+
+
+def main():
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("name", help="W1, W2 or W3")
+    options.add_argument("cells", type=int)
+    options.add_argument("--dim", type=int, default=3)
+    options.add_argument("--precision", default="float32")
+    options.add_argument("--shape-function", default="quadratic")
+    options.add_argument("--shuffled", action="store_true", help="particles in random order at the start")
+    options.add_argument("--cores", type=int, nargs="+", default=[0], help="one for each rank")
+    given = options.parse_args()
+    comm, cores = None, given.cores
+    if len(cores) > 1:
+        from mpi4py import MPI
+
+        comm = MPI.COMM_WORLD
+        cores = [cores[comm.rank]]
+    workload = Workload(given.name, given.cells, given.dim)
+    contest.serve(lambda: PmpmSteps(workload, given.precision, given.shape_function, given.shuffled, comm), cores, comm)
+
+
+if __name__ == "__main__":
+    main()
