@@ -22,6 +22,7 @@ from pmpm.kernels.lanes import (
     load,
     load_repeated,
     load_transposed,
+    prefetch,
     restore_denormals,
     smallest_lane,
     store,
@@ -72,6 +73,7 @@ QUAD_SLAB, QUAD_MIDDLE, QUAD_ROW, QUAD_CONSTANT = 400, 464, 528, 592
 QUAD_F_SLAB, QUAD_F_MIDDLE, QUAD_F_ROW = 656, 720, 784
 GATHERED, GRADIENTS = 400, 656
 CAUSES = 912
+AHEAD = 2  # blocks
 SCRATCH = 1024
 ROW_DISTANCE = 0  # of the constants of a row: distances of its nodes, then the powers of the weights and slopes
 ROW_WEIGHT, ROW_SLOPE = 16, 80
@@ -378,7 +380,7 @@ def p2g(
     """See loops.py for what the arguments are."""
     before = flush_denormals()
     values, where_from = reals.reshape(-1), places.reshape(-1)
-    window_planes, window_size = windows.shape[1], windows.shape[1] * windows.shape[2] * windows.shape[3] * 4
+    window_size = windows.shape[1] * windows.shape[2] * windows.shape[3] * 4
     row, plane = windows.shape[3] * 4, windows.shape[2] * windows.shape[3] * 4
     for layer in range(first_layer, last_layer):
         place_of_window = (layer - first_layer) % windows.shape[0]
@@ -391,6 +393,8 @@ def p2g(
             mass, volume0, params = table[body, MASS_COLUMN], table[body, VOLUME_COLUMN], load_parameters(table, body)
             while left > 0:
                 o = block * (16 * FIELDS)
+                for f in range(FIELDS):
+                    prefetch(values, o + AHEAD * (16 * FIELDS) + 16 * f, False)
                 m, r = place_block(
                     where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], windows.shape[2] * windows.shape[3],
                     windows.shape[3],
@@ -570,6 +574,8 @@ def g2p(
             while left > 0:
                 o = block * (16 * FIELDS)
                 count = min(left, 16)
+                for f in range(FIELDS):
+                    prefetch(values, o + AHEAD * (16 * FIELDS) + 16 * f, True)
                 place_block(
                     where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], nodes.shape[1] * nodes.shape[2],
                     nodes.shape[2],

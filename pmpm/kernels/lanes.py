@@ -465,6 +465,24 @@ def store(typingctx, array, index, value):
     return types.void(array, index, lanes), lower
 
 
+@intrinsic(prefer_literal=True)
+def prefetch(typingctx, array, index, written):
+    """Ask for the cache line of an element, which need not exist; `written` (a literal bool): to write to it."""
+    if not isinstance(written, types.Literal):
+        return None
+
+    def lower(context, builder, sig, arguments):
+        byte = ir.IntType(8)
+        place = pointer(context, builder, sig.args[0], arguments[0], sig.args[1], arguments[1], byte)
+        kind = ir.FunctionType(ir.VoidType(), [byte.as_pointer(), BITS, BITS, BITS])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        flags = [ir.Constant(BITS, flag) for flag in (int(written.literal_value), 3, 1)]
+        builder.call(function, [place, *flags])
+        return context.get_dummy_value()
+
+    return types.void(array, index, written), lower
+
+
 # ---- rows of the grid: 4 nodes x (3 components, mass) -------------------------------------------------------------------
 
 
