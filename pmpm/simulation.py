@@ -68,7 +68,7 @@ class Simulation:
         self.kernels = build.build(self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables])
 
         self.cut(cut_evenly(populate.count_per_layer(self), self.comm.size, self.needs.stencil.window))
-        self.warm_up()
+        self.in_turn(self.warm_up_regroup)
         seeds = seeding.seed(self.scene, self.geometry, self.first_layer, self.last_layer)
         seeded = [Loose.of_rows(populate.cloud(self, law, seeds)) for law in range(len(self.needs.laws))]
         self.settle_in(seeded, [None] * len(seeded))
@@ -78,6 +78,8 @@ class Simulation:
         self.control.begin(self.step_count, *self.fastest())
         self.check_fixed_step(SceneError)
         self.dt = self.control.choose(self.time)  # of the step just taken; before the first, of the one to come
+        self.tell("preparing kernels (compiled once, then kept on disk)")
+        self.in_turn(self.warm_up)
         self.first_energy = 0.0
         self.take_energy()
 
@@ -121,29 +123,31 @@ class Simulation:
         values[layout.state_first :] = layout.rest_state()
         return values
 
-    def warm_up(self):
-        """Compile or load every kernel by calling it on nothing: rank 0 first, so that the others find its cache."""
+    def in_turn(self, warm_up):
+        """Compile or load kernels by calling them on nothing: rank 0 first, so that the others find its cache."""
         began = clock.perf_counter()
-        self.tell("preparing kernels (compiled once, then kept on disk)")
-        layers = self.last_layer - self.first_layer
-        self.populations = [
-            Population.empty(layout.size, layers, self.first_layer, self.real) for layout in self.layouts
-        ]
         for turn in (self.comm.rank == 0, self.comm.rank != 0):
             if turn:
-                loose = [Loose.of(population, self.geometry, self.kernels) for population in self.populations]
-                self.settle_in(loose, [None] * len(loose))
-                self.scatter(0, 0, 0.0)
-                self.update_planes(0, 0, 0.0)
-                self.g2p(0, 0, self.real(0), np.zeros(4))
-                self.halo.warm_up()
-                nothing, normal, none = (0,) * 9, np.zeros(self.dim, self.real), self.real(0)
-                nodes, boxes = self.patch.nodes, self.patch.boxes
-                for wall, image in zip(self.kernels.walls.values(), self.kernels.images.values(), strict=True):
-                    wall(nodes, boxes, *nothing, normal, none)
-                    image(nodes, boxes, *nothing, normal)
+                warm_up()
             self.comm.barrier()
         self.timers.add("compile", began)
+
+    def warm_up_regroup(self):
+        layers = self.last_layer - self.first_layer
+        empty = [Population.empty(layout.size, layers, self.first_layer, self.real) for layout in self.layouts]
+        loose = [Loose.of(population, self.geometry, self.kernels) for population in empty]
+        self.settle_in(loose, [None] * len(loose))
+
+    def warm_up(self):
+        self.scatter(0, 0, 0.0)
+        self.update_planes(0, 0, 0.0)
+        self.g2p(0, 0, self.real(0), np.zeros(4))
+        self.halo.warm_up()
+        nothing, normal, none = (0,) * 9, np.zeros(self.dim, self.real), self.real(0)
+        nodes, boxes = self.patch.nodes, self.patch.boxes
+        for wall, image in zip(self.kernels.walls.values(), self.kernels.images.values(), strict=True):
+            wall(nodes, boxes, *nothing, normal, none)
+            image(nodes, boxes, *nothing, normal)
 
     def fastest(self):
         """(max |v|^2, max c^2) of this rank's particles; a particle that is not a number stops the run, not this."""

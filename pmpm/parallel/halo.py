@@ -35,7 +35,8 @@ class Halo:
         window = patch.windows.shape[1]
         self.comm, self.patch, self.kernels = comm, patch, kernels
         self.targets = (np.arange(last - first)[:, None] + np.arange(window)).astype(np.int64)
-        self.sends, self.receives, self.as_earlier, self.as_later = [], [], [], []
+        self.receives, self.as_earlier, self.as_later = [], [], []
+        sends: list[tuple] = []
         self.low_shared = self.high_shared = False
         shape, real = patch.nodes.shape[1:], patch.nodes.dtype
         slots: list[int] = []
@@ -48,7 +49,7 @@ class Halo:
                 shift = cut.earlier_first - cut.later_first - patch.first_plane
                 planes = np.array([plane + shift for _, plane in cut.unsummed])
                 sums = (patch.nodes[shared], patch.boxes[shared])
-                self.sends.append((cut.later, sums_tag, Message(cut.planes, shape, real), sums))
+                sends.append((cut.later, sums_tag, Message(cut.planes, shape, real), sums))
                 self.receives.append((cut.later, unsummed_tag, incoming.bytes))
                 self.as_earlier.append((incoming, planes))
                 self.note_shared(shared, patch.planes)
@@ -64,13 +65,13 @@ class Halo:
                 for layer, plane in cut.unsummed:
                     self.targets[layer - first, plane - (layer - slabs.reach_low)] = -1 - len(slots)
                     slots.append(plane)
-                self.sends.append((cut.earlier, unsummed_tag, own, mine))
+                sends.append((cut.earlier, unsummed_tag, own, mine))
                 self.note_shared(shared, patch.planes)
         self.unsummed = np.zeros((len(slots), *shape), real)
         self.slot_boxes = np.tile(np.array(EMPTY_BOX), (len(slots), 1))
         self.sends = [
             (peer, tag, message, what if isinstance(what, tuple) else (self.unsummed[what], self.slot_boxes[what]))
-            for peer, tag, message, what in self.sends
+            for peer, tag, message, what in sends
         ]
 
     def note_shared(self, shared, planes):

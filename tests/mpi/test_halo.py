@@ -1,13 +1,16 @@
 """The halo sum: on every rank, for all cuts, each node holds the sum over layers in their order, bit for bit."""
 
+import functools
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pmpm.kernels.cpu import fold_windows
-from pmpm.kernels.needs import QUADRATIC
+from pmpm.kernels import loops, targets
+from pmpm.kernels.loops import EMPTY_BOX
+from pmpm.kernels.needs import STENCILS
 from pmpm.parallel.comm import World
 from pmpm.parallel.halo import Halo
 from pmpm.parallel.slabs import Slabs
@@ -16,6 +19,7 @@ from pmpm.state.grid import Geometry, Patch
 pytestmark = pytest.mark.mpi(min_size=2)
 
 COMM = World(MPI.COMM_WORLD)
+QUADRATIC = STENCILS["quadratic"]
 WINDOW, LOW, HIGH = QUADRATIC.window, QUADRATIC.reach_low, QUADRATIC.reach_high
 CELLS = 17
 GRIDS = {  # cells and array axes of the slab axis x, y, z
@@ -39,13 +43,43 @@ def edges_of_all_cuts(layers, ranks):
                 yield edges
 
 
+def boxes_of_layers(layers, shape):
+    """(layers, 4) where along middle and row each layer gives anything; one gives nothing."""
+    random = np.random.default_rng(5)
+    low = random.integers(0, 2, (layers, 2)) * (np.array(shape) > 1)
+    boxes = np.stack([low[:, 0], np.full(layers, shape[0]), low[:, 1], shape[1] - low[:, 1]], axis=1)
+    boxes[3] = EMPTY_BOX
+    return boxes
+
+
 def contributions(layers, shape, real):
     """(layers, window, *shape, 4) what each layer adds to its planes; the sum depends on its order in almost any place."""
     random = np.random.default_rng(11)
     values = random.standard_normal((layers, WINDOW, *shape, 4)) * 10.0 ** random.integers(
         -6, 6, (layers, WINDOW, 1, 1, 1)
     )
+    for window, (j0, j1, k0, k1) in zip(values, boxes_of_layers(layers, shape), strict=True):
+        outside = np.ones(shape, bool)
+        outside[j0:j1, k0:k1] = False
+        window[:, outside] = 0.0
     return values.astype(real)
+
+
+@functools.cache
+def kernels(real):
+    """The loops over planes of a scene, and `fold` of some layers."""
+    target = targets.scalar(real)
+    entries = {name: target.entry(getattr(loops, name)) for name in ("clear", "pack", "take_planes", "add_planes")}
+    return SimpleNamespace(**entries, fold_layer=target.compile(loops.fold_layer))
+
+
+def fold(given, first, last, halo, patch):
+    boxes = boxes_of_layers(len(given), patch.nodes.shape[1:3])
+    for layer in range(first, last):
+        halo.kernels.fold_layer(
+            given[layer].copy(), boxes[layer], halo.targets[layer - first], patch.nodes, patch.boxes, halo.unsummed,
+            halo.slot_boxes,
+        )  # fmt: skip
 
 
 def ordered_sum(given, periodic):
@@ -62,10 +96,9 @@ def halo_sum(given, grid, edges):
     """The patch of this rank after the halo."""
     slabs = Slabs(grid.layers, grid.periodic[grid.axes[0]], LOW, HIGH, edges)
     first, last = slabs.owned(COMM.rank)
-    patch = Patch(grid, first, last, given.dtype.type)
-    halo = Halo(COMM, slabs, patch, WINDOW)
-    halo.clear()
-    fold_windows(given[first:last].copy(), 0, last - first, halo.targets, patch.nodes, halo.unsummed)
+    patch = Patch(grid, first, last, 1, given.dtype.type)
+    halo = Halo(COMM, slabs, patch, kernels(given.dtype.type))
+    fold(given, first, last, halo, patch)
     halo.finish(halo.start())
     return patch
 
@@ -107,13 +140,12 @@ def test_a_second_step_begins_from_nothing(periodic):
     edges = max(edges_of_all_cuts(grid.layers, COMM.size), key=lambda edges: len(set(edges)))
     slabs = Slabs(grid.layers, periodic, LOW, HIGH, edges)
     first, last = slabs.owned(COMM.rank)
-    patch = Patch(grid, first, last, np.float64)
-    halo = Halo(COMM, slabs, patch, WINDOW)
+    patch = Patch(grid, first, last, 1, np.float64)
+    halo = Halo(COMM, slabs, patch, kernels(np.float64))
     found = []
     for _ in range(2):
-        patch.nodes[:] = 0
-        halo.clear()
-        fold_windows(given[first:last].copy(), 0, last - first, halo.targets, patch.nodes, halo.unsummed)
+        halo.kernels.clear(patch.nodes, patch.boxes)
+        fold(given, first, last, halo, patch)
         halo.finish(halo.start())
         found.append(patch.nodes.tobytes())
     assert COMM.gather(found[0]) == COMM.gather(found[1])

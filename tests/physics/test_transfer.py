@@ -46,14 +46,7 @@ def cloud(dim, transfer, precision, stressed=True):
 
 def scatter(simulation, dt):
     """P2G alone. Returns (positions (n, dim), mass (n,), momentum (n, dim)) of the nodes, float64."""
-    simulation.patch.nodes[:] = 0
-    layers = simulation.last_layer - simulation.first_layer
-    simulation.halo.clear()
-    assert len(simulation.patch.windows) >= layers
-    simulation.p2g(0, layers, dt)
-    simulation.kernels.fold_windows(
-        simulation.patch.windows, 0, layers, simulation.halo.targets, simulation.patch.nodes, simulation.halo.unsummed
-    )
+    simulation.scatter(0, simulation.last_layer - simulation.first_layer, dt)
     return places(simulation), *mass_and_vector(simulation)
 
 
