@@ -115,8 +115,9 @@ class Simulation:
                     layers,
                     len(self.scene.bodies),
                     self.pad_values(layout),
-                )  # fmt: skip
+                )
             )
+        self.held = self.rows()
 
     def pad_values(self, layout):
         values = np.zeros(layout.size, self.real)
@@ -186,7 +187,7 @@ class Simulation:
             self.stop(failed)
         self.check_fixed_step(NumericalFailure)
         dt = self.control.choose(self.time)
-        if self.control.regroup_due(dt):
+        if self.control.regroup_due(self.step_count + 1, dt):
             self.regroup()
         self.advance(self.real(dt))
         self.step_count += 1
@@ -200,7 +201,8 @@ class Simulation:
         extremes[3] = -math.inf
         self.failed.clear()
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
-        self.scatter(0, layers, dt)
+        runs = self.scatter(0, layers, dt)
+        self.control.disorder.start(self.step_count + 1, runs, self.held)
         now = self.timers.add("p2g", now)
         posted = self.halo.start()
         now = self.timers.add("halo", now)
@@ -215,10 +217,11 @@ class Simulation:
         self.halo.finish(posted)
         self.widen_boxes()
         now = self.timers.add("halo", now)
-        self.update_planes(0, min(low, planes), dt)
-        self.update_planes(max(planes - high, 0), planes, dt)
-        self.g2p(0, min(inner[0], layers), dt, extremes)
-        self.g2p(inner[1], layers, dt, extremes)
+        if low or high:
+            self.update_planes(0, min(low, planes), dt)
+            self.update_planes(max(planes - high, 0), planes, dt)
+            self.g2p(0, min(inner[0], layers), dt, extremes)
+            self.g2p(inner[1], layers, dt, extremes)
         if self.failed and self.failure is None:
             self.failure = failure.describe(self, *min(self.failed))
         if self.failure is not None:
@@ -227,19 +230,24 @@ class Simulation:
         self.timers.add("g2p", now)
 
     def scatter(self, first, last, dt):
-        """Particles of layers first .. last - 1 (this rank's counting) to nodes; forgets what the nodes held."""
+        """Particles of layers first .. last - 1 (this rank's counting) to nodes; forgets what the nodes held.
+
+        Returns the number of runs of particles with the same stencil.
+        """
+        runs = 0
         patch, halo, kernels = self.patch, self.halo, self.kernels
         kernels.clear(patch.nodes, patch.boxes)
         patch.layer_boxes[:] = EMPTY_BOX
         for begin in range(first, max(last, first + 1), patch.chunk):
             end = min(begin + patch.chunk, last)
             for number, (kernel, p) in enumerate(zip(kernels.p2g, self.populations, strict=True)):
-                kernel(
+                runs += kernel(
                     p.reals, p.places, p.segments, p.layer_start, begin, end, self.kernel_tables[number], patch.windows,
                     patch.layer_boxes, number == len(kernels.p2g) - 1, halo.targets, patch.nodes, patch.boxes,
                     halo.unsummed, halo.slot_boxes, kernels.scratch, kernels.first_nodes, kernels.constants,
                     self.real(dt), self.dx, self.inv_dx,
                 )  # fmt: skip
+        return runs
 
     def update_planes(self, first, last, dt):
         """Momentum to velocity, gravity and walls on planes first .. last - 1 of the patch."""
@@ -374,7 +382,7 @@ class Simulation:
 
     def rows(self):
         """How many particles this rank holds."""
-        return sum(len(population) for population in self.populations)
+        return sum(map(len, self.populations))
 
     def fields(self, names):
         """dict of this rank's rows of each named field, in the one global order: see state.fields.OUTPUT, `x` and `id`."""

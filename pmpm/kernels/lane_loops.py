@@ -382,6 +382,7 @@ def p2g(
     values, where_from = reals.reshape(-1), places.reshape(-1)
     window_size = windows.shape[1] * windows.shape[2] * windows.shape[3] * 4
     row, plane = windows.shape[3] * 4, windows.shape[2] * windows.shape[3] * 4
+    runs = 0
     for layer in range(first_layer, last_layer):
         place_of_window = (layer - first_layer) % windows.shape[0]
         window = windows.reshape(-1)[place_of_window * window_size : (place_of_window + 1) * window_size]
@@ -408,6 +409,7 @@ def p2g(
                         if held != NOWHERE:
                             flush(window, held, plane, row, rows)
                         rows, held = empty_stencil(), first
+                        runs += 1
                     rows = scatter(rows, scratch, constants, lane)
                 block += 1
                 left -= 16
@@ -423,6 +425,7 @@ def p2g(
         if folds:
             fold_layer(windows[place_of_window], boxes[layer], targets[layer], nodes, plane_boxes, unsummed, slot_boxes)
     restore_denormals(before)
+    return runs
 
 
 # ---- G2P -----------------------------------------------------------------------------------------------------------------

@@ -10,7 +10,8 @@ plane holds anything; outside of it nodes are zero and no loop goes there.
 
 P2G adds the particles of layers first_layer .. last_layer - 1 (counted from this rank's first), one after another, to the
 planes each layer can touch, `windows[(layer - first_layer) % number of windows]`, and widens `boxes[layer]`. The law that
-comes last `folds`: it adds each layer's planes to the nodes, layer after layer, and clears them for the next use.
+comes last `folds`: it adds each layer's planes to the nodes, layer after layer, and clears them for the next use. P2G returns
+the number of runs of particles with the same stencil.
 
 G2P gathers velocity and its gradient, advances state and position of its layers. `layer_node` is the global number of this
 rank's first layer; `limits[axis]`, in 64ths of a cell, where particles may be, `ends[axis]` where a periodic axis repeats. The

@@ -11,6 +11,7 @@ from pmpm.kernels.loops import (
     DENSITY_COLUMN,
     FARTHEST,
     MASS_COLUMN,
+    NOWHERE,
     SETTLED,
     VOLUME_COLUMN,
     fold_layer,
@@ -125,8 +126,10 @@ def p2g(
     plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx,
 ):  # fmt: skip
     before = flush_denormals()
+    runs = 0
     for layer in range(first_layer, last_layer):
         window, box = windows[(layer - first_layer) % windows.shape[0]], boxes[layer]
+        held = (NOWHERE, NOWHERE, NOWHERE)
         for s in range(layer_start[layer], layer_start[layer + 1]):
             row = segments[s, 2]
             mass, volume0, params = table[row, MASS_COLUMN], table[row, VOLUME_COLUMN], load_parameters(table, row)
@@ -143,6 +146,9 @@ def p2g(
                 i0 = centre_of(place[SLAB]) + PADDING
                 j0 = segments[s, 3] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
                 k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
+                if held != (i0, j0, k0):
+                    held = (i0, j0, k0)
+                    runs += 1
                 box[0], box[1] = min(box[0], j0), max(box[1], j0 + MIDDLE_NODES)
                 box[2], box[3] = min(box[2], k0), max(box[3], k0 + 4)
                 for a in range(NODES):
@@ -156,6 +162,7 @@ def p2g(
         if folds:
             fold_layer(window, box, targets[layer], nodes, plane_boxes, unsummed, slot_boxes)
     restore_denormals(before)
+    return runs
 
 
 # ---- G2P ----------------------------------------------------------------------------------------------------------------

@@ -32,11 +32,15 @@ class Alone:
             array[: len(sent)] = sent
 
     def finish(self, handle):
-        """Wait for what `start_exchange` or `start_max` posted."""
+        """Wait for what `start_exchange`, `start_max` or `start_sum` posted."""
         return handle
 
     def start_max(self, values):
         """Begin an elementwise maximum over ranks of a float64 array; `finish` returns it."""
+        return values.copy()
+
+    def start_sum(self, values):
+        """Begin an elementwise sum over ranks of an integer array; `finish` returns it."""
         return values.copy()
 
     def max(self, values):
@@ -95,8 +99,14 @@ class World:
         return result
 
     def start_max(self, values):
+        return self.start_reduction(values, self.mpi.MAX)
+
+    def start_sum(self, values):
+        return self.start_reduction(values, self.mpi.SUM)
+
+    def start_reduction(self, values, operation):
         values, result = values.copy(), np.empty_like(values)
-        request = self.communicator.Iallreduce(values, result, self.mpi.MAX)
+        request = self.communicator.Iallreduce(values, result, operation)
         # A simulation that is dropped leaves reductions behind: MPI may still write to their buffers.
         World.on_the_way = [entry for entry in World.on_the_way if not entry[0].Test()]
         World.on_the_way.append((request, values, result))

@@ -5,30 +5,30 @@ The same on both sides, and as exact as the ordered sum, but the bits depend on 
 
 import sys
 
+import numpy as np
+
 from pmpm.cli import main
 from pmpm.parallel.halo import Halo
 
 
 def finish(self, handle):
     self.comm.finish(handle)
+    nodes, boxes = self.patch.nodes, self.patch.boxes
     for incoming, planes in self.as_earlier:
-        for plane, partial in partial_sums(incoming, planes).items():
-            self.nodes[plane] += partial
-    for sums, shared, first_slot, planes in self.as_later:
-        self.nodes[shared] = sums
-        own = self.unsummed[first_slot : first_slot + len(planes)]
-        for plane, partial in partial_sums(own, planes).items():
-            self.nodes[plane] += partial
+        self.add_partial_sums(incoming, planes)
+    for incoming, low, own, planes in self.as_later:
+        self.kernels.take_planes(nodes, boxes, low, incoming.boxes, incoming.reals)
+        self.add_partial_sums(own, planes)
 
 
-def partial_sums(unsummed, planes):
-    """{plane: sum of the layers after the cut}."""
-    sums = {}
-    for values, plane in zip(unsummed, planes, strict=True):
-        sums[plane] = sums.get(plane, 0) + values
-    return sums
+def add_partial_sums(self, message, planes):
+    """Sum the layers after the cut, then add that."""
+    nodes, boxes = self.patch.nodes, self.patch.boxes
+    sums = np.zeros_like(nodes)
+    self.kernels.add_planes(sums, boxes, planes, message.boxes, message.reals)
+    nodes += sums
 
 
 if __name__ == "__main__":
-    Halo.finish = finish
+    Halo.finish, Halo.add_partial_sums = finish, add_partial_sums
     sys.exit(main())
