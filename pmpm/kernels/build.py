@@ -19,7 +19,7 @@ WALLS = {
     "friction": (boundary.wall_friction, boundary.image_mirrored, False),
 }
 PER_SCENE = ("clear", "pack", "take_planes", "add_planes", "add_gravity", "divide_by_mass")
-PER_PLACES = ("loosen", "fasten", "permute")
+PER_PLACES = ("loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
 VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
 

@@ -465,6 +465,25 @@ def store(typingctx, array, index, value):
     return types.void(array, index, lanes), lower
 
 
+@intrinsic
+def gather(typingctx, array, indices, first, shift):
+    """Elements indices[first] + shift, indices[first + 1] + shift ... of a flat array; `indices` is an array of int64."""
+    result = Lanes(array.dtype, WIDTH)
+
+    def lower(context, builder, sig, arguments):
+        values = ir.Constant(llvm_type(result), ir.Undefined)
+        long = ir.IntType(64)
+        for lane in range(WIDTH):
+            number = builder.add(arguments[2], ir.Constant(arguments[2].type, lane))
+            place = pointer(context, builder, sig.args[1], arguments[1], sig.args[2], number, long)
+            index = builder.add(builder.load(place), context.cast(builder, arguments[3], sig.args[3], types.int64))
+            source = pointer(context, builder, sig.args[0], arguments[0], types.int64, index, values.type.element)
+            values = builder.insert_element(values, builder.load(source), ir.Constant(BITS, lane))
+        return values
+
+    return result(array, indices, first, shift), lower
+
+
 @intrinsic(prefer_literal=True)
 def prefetch(typingctx, array, index, written):
     """Ask for the cache line of an element, which need not exist; `written` (a literal bool): to write to it."""

@@ -1,88 +1,131 @@
 """Loops of a regroup: homes of particles, their order by (layer, body, cell), segments, and the move into new blocks.
 
-Arrays of one number per particle stand in the order of the particles; `source[n]` is where particle n comes from: a lane
+Arrays of one number per particle stand in the order of the particles, `homes[axis]` too; `source[n]` is where particle n comes from: a lane
 (16 block + lane) of the blocks it lay in, or -1 - k for row k of those that arrived from other ranks.
 """
 
+import numpy as np
+
+from pmpm.kernels.lanes import gather, prefetch, store
 from pmpm.kernels.places import REACH
 
 SEGMENT_COLUMNS = 5
+AHEAD = 48  # particles
 
 
 def loosen(places, segments, layer_start, first_layer, half, fraction, axes, cells, homes, bodies, source):
-    """Home nodes of all particles, per physical axis; places count from them afterwards.
+    """Home nodes of all particles; places count from them afterwards.
 
     `cells[axis]` > 0 where an axis is periodic. Exact: places change by whole cells.
     """
     n = 0
     for layer in range(layer_start.shape[0] - 1):
         for s in range(layer_start[layer], layer_start[layer + 1]):
-            for k in range(segments[s, 1]):
-                block, lane = segments[s, 0] + (k >> 4), k & 15
+            block, left, body = segments[s, 0], segments[s, 1], segments[s, 2]
+            while left > 0:
+                count = min(left, 16)
                 for array_axis in range(3):
                     axis = axes[array_axis]
                     if axis >= 0:
                         base = first_layer + layer if array_axis == 0 else segments[s, 2 + array_axis]
-                        steps = (places[block, axis, lane] + half) >> fraction
-                        places[block, axis, lane] -= steps << fraction
-                        node = base + steps
+                        settle(places[block, axis], homes[axis], n, count, base, half, fraction)
                         if cells[axis] > 0:
-                            node %= cells[axis]
-                        homes[n, axis] = node
-                bodies[n] = segments[s, 2]
-                source[n] = 16 * block + lane
-                n += 1
+                            for k in range(n, n + count):
+                                homes[axis, k] %= cells[axis]
+                for k in range(count):
+                    bodies[n + k] = body
+                    source[n + k] = 16 * block + k
+                n += count
+                left -= count
+                block += 1
+
+
+def settle(places, homes, first, count, base, half, fraction):
+    """One axis of one block."""
+    for k in range(count):
+        steps = (places[k] + half) >> fraction
+        places[k] -= steps << fraction
+        homes[first + k] = base + steps
 
 
 def cell_order(homes, bodies, axes, first_layer, layers, body_count, count, scratch, order):
-    """The order of particles by (layer, body, middle, row), stable; `count` needs room for layers x bodies and for nodes.
+    """The order of particles by (layer, body, middle, row), stable; `count` needs room for layers x bodies, for nodes of an
+    axis and for as many numbers as there are particles.
 
-    Counting sorts: all particles by layer and body, then each such group, which fits into a core's cache, by row and middle.
+    Counting sorts: all particles by layer and body, then each such group, which fits into a core's cache, by cell.
     """
     groups = layers * body_count
+    layer = homes[axes[0]]
     for g in range(groups + 1):
         count[g] = 0
-    for n in range(homes.shape[0]):
-        count[(homes[n, axes[0]] - first_layer) * body_count + bodies[n] + 1] += 1
+    for n in range(layer.shape[0]):
+        count[(layer[n] - first_layer) * body_count + bodies[n] + 1] += 1
     for g in range(groups):
         count[g + 1] += count[g]
-    for n in range(homes.shape[0]):
-        g = (homes[n, axes[0]] - first_layer) * body_count + bodies[n]
-        order[count[g]] = n
+    for n in range(layer.shape[0]):
+        g = (layer[n] - first_layer) * body_count + bodies[n]
+        scratch[count[g]] = n
         count[g] += 1
     first = 0
-    while first < homes.shape[0]:
-        lead = order[first]
-        last = first
-        while (
-            last < homes.shape[0]
-            and homes[order[last], axes[0]] == homes[lead, axes[0]]
-            and bodies[order[last]] == bodies[lead]
-        ):
+    while first < layer.shape[0]:
+        lead = scratch[first]
+        last = first + 1
+        while last < layer.shape[0] and layer[scratch[last]] == layer[lead] and bodies[scratch[last]] == bodies[lead]:
             last += 1
-        by_axis(homes, axes[2], order, first, last, count, scratch)
-        if axes[1] >= 0:
-            by_axis(homes, axes[1], order, first, last, count, scratch)
+        group, ordered = scratch[first:last], order[first:last]
+        row = homes[axes[2]]
+        low_row, high_row = extent(row, group)
+        rows = high_row - low_row + 1
+        if axes[1] < 0:
+            by_axis(row, low_row, rows, group, ordered, count)
+        else:
+            middle = homes[axes[1]]
+            low_middle, high_middle = extent(middle, group)
+            middles = high_middle - low_middle + 1
+            if rows * middles <= group.shape[0]:
+                by_cell(middle, row, low_middle, low_row, middles, rows, group, ordered, count)
+            else:
+                by_axis(row, low_row, rows, group, ordered, count)
+                for k in range(group.shape[0]):
+                    group[k] = ordered[k]
+                by_axis(middle, low_middle, middles, group, ordered, count)
         first = last
 
 
-def by_axis(homes, axis, order, first, last, count, scratch):
-    """Stable counting sort of order[first:last] by the home node along one axis."""
-    low = high = homes[order[first], axis]
-    for k in range(first, last):
-        low, high = min(low, homes[order[k], axis]), max(high, homes[order[k], axis])
-    for g in range(high - low + 2):
+def extent(home, group):
+    """(lowest, highest) home node of a group along one axis."""
+    low = high = home[group[0]]
+    for k in range(group.shape[0]):
+        low, high = min(low, home[group[k]]), max(high, home[group[k]])
+    return low, high
+
+
+def by_axis(home, low, nodes, group, ordered, count):
+    """Stable counting sort of a group by the home node along one axis."""
+    for g in range(nodes + 1):
         count[g] = 0
-    for k in range(first, last):
-        count[homes[order[k], axis] - low + 1] += 1
-    for g in range(high - low + 1):
+    for k in range(group.shape[0]):
+        count[home[group[k]] - low + 1] += 1
+    for g in range(nodes):
         count[g + 1] += count[g]
-    for k in range(first, last):
-        g = homes[order[k], axis] - low
-        scratch[count[g]] = order[k]
+    for k in range(group.shape[0]):
+        g = home[group[k]] - low
+        ordered[count[g]] = group[k]
         count[g] += 1
-    for k in range(first, last):
-        order[k] = scratch[k - first]
+
+
+def by_cell(middle, row, low_middle, low_row, middles, rows, group, ordered, count):
+    """Stable counting sort of a group by middle and row at once."""
+    for g in range(middles * rows + 1):
+        count[g] = 0
+    for k in range(group.shape[0]):
+        count[(middle[group[k]] - low_middle) * rows + row[group[k]] - low_row + 1] += 1
+    for g in range(middles * rows):
+        count[g + 1] += count[g]
+    for k in range(group.shape[0]):
+        g = (middle[group[k]] - low_middle) * rows + row[group[k]] - low_row
+        ordered[count[g]] = group[k]
+        count[g] += 1
 
 
 def cut_segments(homes, bodies, order, axes, first_layer, segments, layer_start):
@@ -94,16 +137,16 @@ def cut_segments(homes, bodies, order, axes, first_layer, segments, layer_start)
     layers = layer_start.shape[0] - 1
     for layer in range(layers):
         layer_start[layer] = count
-        while n < order.shape[0] and homes[order[n], axes[0]] == first_layer + layer:
+        while n < order.shape[0] and homes[axes[0], order[n]] == first_layer + layer:
             lead = order[n]
-            low_row = high_row = homes[lead, axes[2]]
-            low_middle = high_middle = homes[lead, axes[1]] if axes[1] >= 0 else 0
+            low_row = high_row = homes[axes[2], lead]
+            low_middle = high_middle = homes[axes[1], lead] if axes[1] >= 0 else 0
             last = n
             while last < order.shape[0]:
                 p = order[last]
-                if homes[p, axes[0]] != first_layer + layer or bodies[p] != bodies[lead]:
+                if homes[axes[0], p] != first_layer + layer or bodies[p] != bodies[lead]:
                     break
-                row, middle = homes[p, axes[2]], homes[p, axes[1]] if axes[1] >= 0 else 0
+                row, middle = homes[axes[2], p], homes[axes[1], p] if axes[1] >= 0 else 0
                 low, high = min(low_row, row), max(high_row, row)
                 if high - low > 2 * REACH or middle - low_middle > 2 * REACH:
                     break
@@ -118,43 +161,56 @@ def cut_segments(homes, bodies, order, axes, first_layer, segments, layer_start)
     return count, blocks
 
 
-def permute(blocks, rows, ids, row_ids, source, order, segments, count, new_blocks, new_ids, rest):
-    """Move the numbers of all particles, taken as integers, into their new blocks; fill up with `rest`."""
+def permute(
+    blocks, rows, ids, row_ids, source, order, homes, axes, fraction, segments, count, new_blocks, new_ids, rest
+):  # fmt: skip
+    """Move the numbers of all particles, taken as integers, into their new blocks; places count from the new bases.
+
+    The lanes that fill up a segment's last block get `rest`, at the place of the segment's last particle.
+    """
     n = 0
-    fields = new_blocks.shape[1]
+    fields, dim = new_blocks.shape[1], homes.shape[0]
+    old_values, new_values = blocks.reshape(-1), new_blocks.reshape(-1)
+    shifts, base = np.zeros(16 * dim, new_blocks.dtype), np.zeros(3, np.int64)
+    old_places = np.zeros(16, np.int64)
     for s in range(count):
-        for k in range(segments[s, 1]):
-            new, lane = segments[s, 0] + (k >> 4), k & 15
-            old = source[order[n]]
-            if old >= 0:
-                for f in range(fields):
-                    new_blocks[new, f, lane] = blocks[old >> 4, f, old & 15]
-                new_ids[new, lane] = ids[old >> 4, old & 15]
+        for array_axis in range(1, 3):
+            if axes[array_axis] >= 0:
+                base[axes[array_axis]] = segments[s, 2 + array_axis]
+        new, left = segments[s, 0], segments[s, 1]
+        while left > 0:
+            here = min(left, 16)
+            coming = max(source[order[min(n + AHEAD, order.shape[0] - 1)]], 0) >> 4
+            for f in range(fields):
+                prefetch(old_values, (coming * fields + f) * 16, False)
+                prefetch(new_values, ((new + 2) * fields + f) * 16, True)
+            arrived = False
+            for lane in range(16):
+                p = order[n + min(lane, here - 1)]
+                for axis in range(dim):
+                    shifts[16 * axis + lane] = (homes[axis, p] - base[axis]) << fraction
+                shifts[16 * axes[0] + lane] = 0
+                old = source[p]
+                arrived |= old < 0
+                old_places[lane] = (old >> 4) * (16 * fields) + (old & 15)
+                new_ids[new, lane] = ids[old >> 4, old & 15] if old >= 0 else row_ids[-1 - old]
+            o = new * (16 * fields)
+            if arrived:
+                for lane in range(here):
+                    old = source[order[n + lane]]
+                    for f in range(fields):
+                        value = blocks[old >> 4, f, old & 15] if old >= 0 else rows[-1 - old, f]
+                        new_values[o + 16 * f + lane] = value
             else:
                 for f in range(fields):
-                    new_blocks[new, f, lane] = rows[-1 - old, f]
-                new_ids[new, lane] = row_ids[-1 - old]
-            n += 1
-        for k in range(segments[s, 1], 16 * ((segments[s, 1] + 15) // 16)):
-            new, lane = segments[s, 0] + (k >> 4), k & 15
-            for f in range(fields):
-                new_blocks[new, f, lane] = rest[f]
-            new_ids[new, lane] = -1
-
-
-def fasten(places, segments, count, homes, order, axes, first_layer, fraction):
-    """Places from the base of their segment again; the lanes that fill up a block stand where its last particle does."""
-    n = 0
-    for s in range(count):
-        for k in range(16 * ((segments[s, 1] + 15) // 16)):
-            block, lane = segments[s, 0] + (k >> 4), k & 15
-            live = k < segments[s, 1]
-            p = order[n] if live else order[n - 1]
-            for array_axis in range(1, 3):
-                axis = axes[array_axis]
-                if axis >= 0:
-                    if not live:
-                        places[block, axis, lane] = 0
-                    places[block, axis, lane] += (homes[p, axis] - segments[s, 2 + array_axis]) << fraction
-            if live:
-                n += 1
+                    store(new_values, o + 16 * f, gather(old_values, old_places, 0, 16 * f))
+            for lane in range(here, 16):
+                new_ids[new, lane] = -1
+                for f in range(fields):
+                    new_values[o + 16 * f + lane] = rest[f]
+            for axis in range(dim):
+                for lane in range(16):
+                    new_values[o + 16 * axis + lane] += shifts[16 * axis + lane]
+            n += here
+            left -= here
+            new += 1

@@ -17,7 +17,7 @@ def migrate(loose, slab_axis, slabs, comm):
         return [(cloud, cloud) for cloud in nothing], sent
     pieces: list[list[bytes]] = [[] for _ in range(comm.size)]
     for particles in loose:
-        owner = slabs.owner(particles.homes[:, slab_axis])
+        owner = slabs.owner(particles.homes[slab_axis])
         for rank in range(comm.size):
             leaving = np.flatnonzero(owner == rank) if rank != comm.rank else np.zeros(0, np.int64)
             pieces[rank] += [np.int64(len(leaving)).tobytes(), particles.take(leaving).to_bytes()]

@@ -159,7 +159,7 @@ class Population:
 
 @dataclass
 class Loose:
-    """Particles taken out of their order, still in their old blocks: home nodes (n, dim), table rows and sources (n,), see
+    """Particles taken out of their order, still in their old blocks: home nodes (dim, n), table rows and sources (n,), see
     kernels.sorting. Places count from the home nodes."""
 
     population: Population
@@ -172,7 +172,7 @@ class Loose:
         """Find the home node of every particle; the population is of no use afterwards."""
         count, form = len(population), FORMATS[population.reals.dtype]
         loose = cls(
-            population, np.empty((count, geometry.dim), np.int32), np.empty(count, np.int32), np.empty(count, np.int64)
+            population, np.empty((geometry.dim, count), np.int32), np.empty(count, np.int32), np.empty(count, np.int64)
         )
         kernels.loosen(
             population.places, population.segments, population.layer_start, population.first_layer,
@@ -186,7 +186,10 @@ class Loose:
         """Some of them as a Cloud."""
         block, lane = self.source[index] // LANES, self.source[index] % LANES
         return Cloud(
-            self.population.reals[block, :, lane], self.homes[index], self.rows[index], self.population.id[block, lane]
+            self.population.reals[block, :, lane],
+            self.homes[:, index].T,
+            self.rows[index],
+            self.population.id[block, lane],
         )
 
     @classmethod
@@ -201,11 +204,11 @@ class Loose:
         population.places = population.reals.view(population.places.dtype)
         population.id = np.zeros((blocks, LANES), np.int64)
         population.id.reshape(-1)[:count] = cloud.id
-        return cls(population, cloud.node, cloud.row, np.arange(count))
+        return cls(population, np.ascontiguousarray(cloud.node.T), cloud.row, np.arange(count))
 
     def keep(self, index):
         """Only some of them, in order."""
-        self.homes, self.rows, self.source = self.homes[index], self.rows[index], self.source[index]
+        self.homes, self.rows, self.source = self.homes[:, index], self.rows[index], self.source[index]
 
 
 def assemble(loose, before, after, geometry, kernels, first_layer, layers, body_count, rest):
@@ -220,12 +223,12 @@ def assemble(loose, before, after, geometry, kernels, first_layer, layers, body_
     if len(before) or len(after):
         arrived = Cloud.join([before, after])
         number = -1 - np.arange(len(arrived))
-        homes = np.concatenate([before.node, homes, after.node])
+        homes = np.concatenate([before.node.T, homes, after.node.T], axis=1)
         bodies = np.concatenate([before.row, bodies, after.row])
         source = np.concatenate([number[: len(before)], source, number[len(before) :]])
     count, axes = len(source), np.array(geometry.axes)
     order, scratch = np.empty(count, np.int64), np.empty(count, np.int64)
-    buckets = max(layers * body_count, max((geometry.extent(axis) for axis in range(geometry.dim)), default=0)) + 2
+    buckets = max(layers * body_count, count, *(geometry.extent(axis) for axis in range(geometry.dim))) + 2
     kernels.cell_order(
         homes, bodies, axes, first_layer, layers, body_count, np.empty(buckets, np.int64), scratch, order
     )
@@ -235,8 +238,7 @@ def assemble(loose, before, after, geometry, kernels, first_layer, layers, body_
     reals, ids = np.empty((blocks, len(rest), LANES), rest.dtype), np.empty((blocks, LANES), np.int64)
     places = reals.view(form.integer)
     kernels.permute(
-        old.places, arrived.places, old.id, arrived.id, source, order, segments, used, places, ids,
-        rest.view(form.integer),
+        old.places, arrived.places, old.id, arrived.id, source, order, homes, axes, form.fraction, segments, used, places,
+        ids, rest.view(form.integer),
     )  # fmt: skip
-    kernels.fasten(places, segments, used, homes, order, axes, first_layer, form.fraction)
     return Population(reals, places, ids, segments, layer_start, first_layer)
