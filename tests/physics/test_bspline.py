@@ -2,48 +2,51 @@
 
 import numpy as np
 import pytest
+from numpy.polynomial import Polynomial
 
-from pmpm.physics import bspline
+from pmpm.kernels.needs import STENCILS
 
-PLACES = np.linspace(-0.5, 0.5, 41)
-OFFSETS = np.arange(bspline.NODES_QUADRATIC) - bspline.LOW_QUADRATIC
+SPLINES = list(STENCILS.values())
+PLACED = [(spline, g) for spline in SPLINES for g in np.linspace(-spline.round, 1.0 - spline.round, 41)]
+IDS = [f"{spline.nodes} nodes, {g:.3f}" for spline, g in PLACED]
 
 
-@pytest.mark.parametrize("g", PLACES)
-def test_weights_sum_to_one_and_none_is_negative(g):
-    w = bspline.weights_quadratic(g)
+@pytest.mark.parametrize(("spline", "g"), PLACED, ids=IDS)
+def test_weights_sum_to_one_and_none_is_negative(spline, g):
+    w = spline.weights(g)
+    assert len(w) == spline.nodes
     assert abs(sum(w) - 1.0) < 1e-15
     assert min(w) >= 0.0
 
 
-@pytest.mark.parametrize("g", PLACES)
-def test_weighted_nodes_average_to_the_particle(g):
-    assert abs(np.dot(bspline.weights_quadratic(g), OFFSETS) - g) < 1e-15
+@pytest.mark.parametrize(("spline", "g"), PLACED, ids=IDS)
+def test_weighted_nodes_average_to_the_particle(spline, g):
+    assert abs(np.dot(spline.weights(g), spline.offsets) - g) < 1e-15
 
 
-@pytest.mark.parametrize("g", PLACES)
-def test_inertia_of_the_stencil_does_not_depend_on_the_particle(g):
-    inertia = np.dot(bspline.weights_quadratic(g), (OFFSETS - g) ** 2)
-    assert abs(inertia * bspline.INERTIA_QUADRATIC - 1.0) < 1e-14
+@pytest.mark.parametrize(("spline", "g"), PLACED, ids=IDS)
+def test_inertia_of_the_stencil_does_not_depend_on_the_particle(spline, g):
+    inertia = np.dot(spline.weights(g), (np.array(spline.offsets) - g) ** 2)
+    assert abs(inertia * spline.inertia - 1.0) < 1e-14
 
 
-@pytest.mark.parametrize("g", PLACES)
-def test_slopes_are_the_derivative_of_the_weights(g):
-    # A node's shape function grows where the particle moves: central differences are exact for a parabola.
-    h = 1e-3
-    above, below = bspline.weights_quadratic(g + h), bspline.weights_quadratic(g - h)
-    difference = (np.array(above) - np.array(below)) / (2.0 * h)
-    assert np.abs(bspline.slopes_quadratic(g) - difference).max() < 1e-12
+@pytest.mark.parametrize("spline", SPLINES, ids=["quadratic", "cubic"])
+def test_slopes_are_the_derivative_of_the_weights(spline):
+    """As polynomials, coefficient by coefficient. A node's shape function grows where the particle moves."""
+    g = Polynomial([0.0, 1.0])
+    for weight, slope in zip(spline.weights(g), spline.slopes(g), strict=True):
+        assert np.abs((weight.deriv() - slope).coef).max() < 1e-15
 
 
-@pytest.mark.parametrize("g", PLACES)
-def test_slopes_give_the_gradient_of_a_linear_field_exactly(g):
-    slopes = bspline.slopes_quadratic(g)
+@pytest.mark.parametrize(("spline", "g"), PLACED, ids=IDS)
+def test_slopes_give_the_gradient_of_a_linear_field_exactly(spline, g):
+    slopes = spline.slopes(g)
     assert abs(sum(slopes)) < 1e-15
-    assert abs(np.dot(slopes, OFFSETS) - 1.0) < 1e-15
+    assert abs(np.dot(slopes, spline.offsets) - 1.0) < 2e-15
 
 
-def test_weights_are_continuous_where_the_stencil_moves_on_by_a_node():
-    left, right = bspline.weights_quadratic(0.5), bspline.weights_quadratic(-0.5)
-    assert (*left, 0.0) == (0.0, *right)
-    assert (*bspline.slopes_quadratic(0.5), 0.0) == (0.0, *bspline.slopes_quadratic(-0.5))
+@pytest.mark.parametrize("spline", SPLINES, ids=["quadratic", "cubic"])
+@pytest.mark.parametrize("function", ["weights", "slopes"])
+def test_they_are_continuous_where_the_stencil_moves_on_by_a_node(spline, function):
+    left, right = (np.array(getattr(spline, function)(g)) for g in (1.0 - spline.round, -spline.round))
+    assert np.abs(np.append(left, 0.0) - np.append(0.0, right)).max() < 1e-15
