@@ -65,7 +65,10 @@ class Simulation:
         self.failure: dict | None = None
         self.regroups, self.sent = 0, np.zeros(self.comm.size, np.int64)
         self.timers = Timers()
-        self.kernels = build.build(self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables])
+        loops = build.chosen_loops()
+        if loops not in build.LOOPS:
+            raise SceneError(f"environment: PMPM_LOOPS = {loops!r} is not a kind of loops; known are {', '.join(build.LOOPS)}")
+        self.kernels = build.build(self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables], loops)
 
         self.cut(cut_evenly(populate.count_per_layer(self), self.comm.size, self.needs.stencil.window))
         self.in_turn(self.warm_up_regroup)
@@ -143,7 +146,8 @@ class Simulation:
         self.scatter(0, 0, 0.0)
         self.update_planes(0, 0, 0.0)
         self.g2p(0, 0, self.real(0), np.zeros(4))
-        self.halo.warm_up()
+        if self.slabs.cuts:
+            self.halo.warm_up()
         nothing, normal, none = (0,) * 9, np.zeros(self.dim, self.real), self.real(0)
         nodes, boxes = self.patch.nodes, self.patch.boxes
         for wall, image in zip(self.kernels.walls.values(), self.kernels.images.values(), strict=True):

@@ -21,6 +21,7 @@ WALLS = {
 PER_SCENE = ("clear", "pack", "take_planes", "add_planes", "add_gravity", "divide_by_mass")
 PER_PLACES = ("loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
+LOOPS = {"lanes": lane_loops, "scalar": scalar_loops}
 VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
 
 
@@ -54,8 +55,9 @@ class Kernels:
         }
 
 
-def default_loops():
-    """`lanes`, or `scalar` on machines whose vectors nobody has tried; PMPM_LOOPS overrules."""
+def chosen_loops():
+    """PMPM_LOOPS if it is set, which may be anything; else the name of the faster of LOOPS on this machine: `scalar` where
+    nobody has tried the vectors."""
     return os.environ.get("PMPM_LOOPS") or ("lanes" if platform.machine().lower() in VECTOR_MACHINES else "scalar")
 
 
@@ -168,14 +170,13 @@ def law_choices(law, layout, parameter_count, tuples):
     }
 
 
-def build(needs, layouts, parameter_counts, kind=None):
-    """Kernels for these needs, not compiled yet: numba compiles at the first call. Layouts and counts are per law.
-
-    kind: "lanes" or "scalar"; the default is the faster one of this machine.
+def build(needs, layouts, parameter_counts, kind):
+    """Kernels for these needs, not compiled yet: numba compiles at the first call. Layouts and counts are per law; `kind` is
+    one of LOOPS.
     """
     targets.use_cache_folder()
     real = np.dtype(needs.precision).type
-    module = {"lanes": lane_loops, "scalar": scalar_loops}[kind or default_loops()]
+    module = LOOPS[kind]
     make = targets.lanes if module is lane_loops else targets.scalar
     own = lane_choices(needs) if module is lane_loops else scalar_choices(needs)
     scene = scene_choices(needs)

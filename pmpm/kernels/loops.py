@@ -6,7 +6,8 @@ one layer and one body whose places count from one base; along the slab axis the
 segment is filled up with particles that weigh nothing.
 
 The grid is `nodes[plane, middle, row, (p_x, p_y, p_z, mass)]`. A box (first and last + 1 along middle and row) says where a
-plane holds anything; outside of it nodes are zero and no loop goes there.
+plane holds anything; outside of it nodes are zero and no loop goes there, but for the rest of a row of four nodes: rows are
+long enough for it.
 
 P2G adds the particles of layers first_layer .. last_layer - 1 (counted from this rank's first), one after another, to the
 planes each layer can touch, `windows[(layer - first_layer) % number of windows]`, and widens `boxes[layer]`. The law that
@@ -57,8 +58,8 @@ def clear(nodes, boxes):
     for i in range(nodes.shape[0]):
         for j in range(boxes[i, 0], boxes[i, 1]):
             row = nodes[i, j].reshape(-1)
-            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3]):
-                row[q] = 0.0
+            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3], 16):
+                store(row, q, 0.0)
         empty(boxes[i])
 
 
@@ -88,14 +89,14 @@ def fold_layer(window, box, targets, nodes, boxes, unsummed, slot_boxes):
             gained = window[k, j].reshape(-1)
             if plane >= 0:
                 row = nodes[plane, j].reshape(-1)
-                for q in range(4 * box[2], 4 * box[3]):
-                    row[q] += gained[q]
-                    gained[q] = 0.0
+                for q in range(4 * box[2], 4 * box[3], 16):
+                    store(row, q, load(row, q) + load(gained, q))
+                    store(gained, q, 0.0)
             else:
                 row = unsummed[slot, j].reshape(-1)
-                for q in range(4 * box[2], 4 * box[3]):
-                    row[q] = gained[q]
-                    gained[q] = 0.0
+                for q in range(4 * box[2], 4 * box[3], 16):
+                    store(row, q, load(gained, q))
+                    store(gained, q, 0.0)
 
 
 def pack(planes, boxes, box_message, message):
@@ -106,9 +107,9 @@ def pack(planes, boxes, box_message, message):
             box_message[i, q] = boxes[i, q]
         for j in range(boxes[i, 0], boxes[i, 1]):
             row = planes[i, j].reshape(-1)
-            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3]):
-                message[place] = row[q]
-                place += 1
+            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3], 16):
+                store(message, place, load(row, q))
+                place += 16
     return place
 
 
@@ -119,9 +120,9 @@ def take_planes(nodes, boxes, first, box_message, message):
         widen(boxes[first + i], box_message[i])
         for j in range(box_message[i, 0], box_message[i, 1]):
             row = nodes[first + i, j].reshape(-1)
-            for q in range(4 * box_message[i, 2], 4 * box_message[i, 3]):
-                row[q] = message[place]
-                place += 1
+            for q in range(4 * box_message[i, 2], 4 * box_message[i, 3], 16):
+                store(row, q, load(message, place))
+                place += 16
 
 
 def add_planes(nodes, boxes, planes, box_message, message):
@@ -132,9 +133,9 @@ def add_planes(nodes, boxes, planes, box_message, message):
         widen(boxes[planes[i]], box_message[i])
         for j in range(box_message[i, 0], box_message[i, 1]):
             row = nodes[planes[i], j].reshape(-1)
-            for q in range(4 * box_message[i, 2], 4 * box_message[i, 3]):
-                row[q] += message[place]
-                place += 1
+            for q in range(4 * box_message[i, 2], 4 * box_message[i, 3], 16):
+                store(row, q, load(row, q) + load(message, place))
+                place += 16
     restore_denormals(before)
 
 

@@ -1,7 +1,7 @@
 """Loops of a regroup: homes of particles, their order by (layer, body, cell), segments, and the move into new blocks.
 
-Arrays of one number per particle stand in the order of the particles, `homes[axis]` too; `source[n]` is where particle n comes from: a lane
-(16 block + lane) of the blocks it lay in, or -1 - k for row k of those that arrived from other ranks.
+Arrays of one number per particle stand in the order of the particles, `homes[axis]` too; `source[n]` is where particle n
+comes from: a lane (16 block + lane) of the blocks it lay in, or -1 - k for row k of those that arrived from other ranks.
 """
 
 import numpy as np

@@ -47,7 +47,8 @@ def boxes_of_layers(layers, shape):
     """(layers, 4) where along middle and row each layer gives anything; one gives nothing."""
     random = np.random.default_rng(5)
     low = random.integers(0, 2, (layers, 2)) * (np.array(shape) > 1)
-    boxes = np.stack([low[:, 0], np.full(layers, shape[0]), low[:, 1], shape[1] - low[:, 1]], axis=1)
+    row = shape[1] - 4  # the rest lets rows of four nodes reach over their end
+    boxes = np.stack([low[:, 0], np.full(layers, shape[0]), low[:, 1], row - low[:, 1]], axis=1)
     boxes[3] = EMPTY_BOX
     return boxes
 
