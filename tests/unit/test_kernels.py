@@ -1,20 +1,29 @@
 """What the compiled kernels hold, and when they are compiled again."""
 
+import functools
 import json
+import math
 import os
+import platform
 import re
 import shutil
+import struct
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
+import llvmlite.binding
+import numba
 import numpy as np
 import pytest
 
 import pmpm
 from pmpm.kernels import targets
+from pmpm.kernels.build import PER_PLACES, PER_SCENE, SORTING
 from pmpm.physics import tensors2, tensors3
 from pmpm.physics.materials import drucker_prager, fluid, neo_hookean
+from pmpm.physics.words import ATANH_OVER_ROOT, EXPM1_OF_TWICE
 
 PACKAGE = Path(pmpm.__file__).parent
 WATER = {"model": "fluid", "density": 1000.0, "sound_speed": 15.0}
@@ -41,63 +50,197 @@ def scene(materials, precision="float64", transfer="apic", dim=2):
     )
 
 
-def compiled(simulation, names=("p2g 0", "g2p 0")):
+def text_of(simulation, names=("p2g 0", "g2p 0")):
     """LLVM text of entry kernels after optimisation, by name."""
     entries = simulation.kernels.entries
-    return {name: "\n".join(map(entries[name].inspect_llvm, entries[name].signatures)) for name in names}
+    texts = {name: "\n".join(map(entries[name].inspect_llvm, entries[name].signatures)) for name in names}
+    assert all("define " in text for text in texts.values())  # what comes from the cache on disk keeps no text
+    return texts
 
 
-@pytest.fixture
-def uncached(tmp_path, monkeypatch):
-    """Kernels compiled in this process: those loaded from the cache keep no LLVM text."""
-    monkeypatch.setenv("PMPM_CACHE_DIR", str(tmp_path))
+@pytest.fixture(scope="module")
+def simulation_of(tmp_path_factory):
+    """Simulations by scene and kind of loops, each compiled in this process and once: what is loaded keeps no LLVM text."""
+
+    @functools.cache
+    def made(scene, loops):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("PMPM_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+            patch.setenv("PMPM_LOOPS", loops)
+            return pmpm.Simulation(SCENES[scene]())
+
+    return lambda scene, loops="lanes": made(scene, loops)
 
 
-def test_dam_break_holds_no_root_no_decomposition_and_no_deformation_gradient(uncached):
-    simulation = pmpm.Simulation(pmpm.Scene.builtin("dam_break"))
+ALL_LAWS = {"water": WATER, "rubber": RUBBER, "sand": SAND}
+SCENES = {
+    "dam break": lambda: pmpm.Scene.builtin("dam_break"),
+    "colliding disks": lambda: pmpm.Scene.builtin("colliding_disks"),
+    "water and sand": lambda: scene({"water": WATER, "sand": SAND}),
+    "water, MLS": lambda: scene({"water": WATER}, transfer="mls"),
+    "float32, 2-D": lambda: scene(ALL_LAWS, "float32", dim=2),
+    "float32, 3-D": lambda: scene(ALL_LAWS, "float32", dim=3),
+    "float32, 3-D, water": lambda: scene({"water": WATER}, "float32", dim=3),
+}
+
+
+# ---- what a scene does not choose is not there --------------------------------------------------------------------------
+
+
+def in_llvm(number):
+    """A double as LLVM writes it: on lanes exp and log are polynomials and no calls, and told by their constants."""
+    return "0x" + struct.pack(">d", number).hex().upper()
+
+
+EXPONENTIAL = in_llvm(1 / math.log(2))  # exp and expm1 divide by ln 2
+LOGARITHM = in_llvm(math.sqrt(2))  # log and log1p bring the mantissa below it
+HENCKY = {  # what eigenvalues and Hencky strains cannot do without
+    "square root": "sqrt",
+    "expm1": in_llvm(1 / math.factorial(14)),  # exp stops at 13
+    "series of exp(2 E) - 1": in_llvm(EXPM1_OF_TWICE[0]),
+    "series of atanh": in_llvm(ATANH_OVER_ROOT[0]),
+}
+
+
+def hencky_in(text):
+    return [name for name, mark in HENCKY.items() if mark in text]
+
+
+def test_dam_break_holds_no_root_no_decomposition_and_no_deformation_gradient(simulation_of):
+    simulation = simulation_of("dam break")
     assert [field.name for field in simulation.layouts[0].fields] == ["x", "v", "C", "J"]
-    text = compiled(simulation)
-    assert "exp" in text["p2g 0"]  # the equation of state is there, so the search below looks at the right text
-    for name in ("p2g 0", "g2p 0"):
-        assert not re.search(r"sqrt|expm1|log1p", text[name])  # what eigenvalues and Hencky strains cannot do without
+    text = text_of(simulation)
+    assert EXPONENTIAL in text["p2g 0"]  # the equation of state is there, so the search below looks at the right text
+    assert LOGARITHM in text["p2g 0"]
+    assert not hencky_in(text["p2g 0"] + text["g2p 0"])
 
 
-def test_colliding_disks_keep_no_plastic_state(uncached):
-    simulation = pmpm.Simulation(pmpm.Scene.builtin("colliding_disks"))
+def test_colliding_disks_keep_no_plastic_state(simulation_of):
+    simulation = simulation_of("colliding disks")
     assert [field.name for field in simulation.layouts[0].fields] == ["x", "v", "C", "F"]
-    text = compiled(simulation)
-    assert "log" in text["p2g 0"]
-    assert not any(re.search(r"sqrt|expm1|log1p", text[name]) for name in ("p2g 0", "g2p 0"))
+    text = text_of(simulation)
+    assert LOGARITHM in text["p2g 0"]
+    assert EXPONENTIAL not in text["p2g 0"] + text["g2p 0"]
+    assert not hencky_in(text["p2g 0"] + text["g2p 0"])
 
 
-def test_the_search_for_roots_finds_them_where_they_are(uncached):
-    text = compiled(pmpm.Simulation(scene({"sand": SAND})))
-    assert re.search(r"sqrt", text["g2p 0"])
-    assert re.search(r"expm1", text["g2p 0"])
+def test_the_search_for_roots_and_strains_finds_them_where_they_are(simulation_of):
+    text = text_of(simulation_of("water and sand"), ["g2p 1"])["g2p 1"]
+    assert hencky_in(text) == list(HENCKY)
+    assert EXPONENTIAL in text
+    assert LOGARITHM in text
 
 
-def test_mls_computes_no_weight_gradients(uncached):
+def test_mls_computes_no_weight_gradients(simulation_of):
     """The quadratic slopes are the only place where a distance is multiplied by -2."""
-    apic, mls = (
-        compiled(pmpm.Simulation(scene({"water": WATER}, transfer=t)), ["p2g 0"])["p2g 0"] for t in ("apic", "mls")
-    )
+    apic, mls = (text_of(simulation_of(s), ["p2g 0"])["p2g 0"] for s in ("water and sand", "water, MLS"))
     minus_two = re.compile(r"-2\.0+e\+00")
     assert minus_two.search(apic)
     assert not minus_two.search(mls)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_float32_kernels_hold_no_double_arithmetic(uncached, dim):
-    simulation = pmpm.Simulation(scene({"water": WATER, "rubber": RUBBER, "sand": SAND}, "float32", dim=dim))
-    double = re.compile(r"\bf(add|sub|mul|div|cmp)\b[^\n]*\bdouble\b")
-    for name, text in compiled(simulation, simulation.kernels.entries).items():
-        assert "float" in text
-        assert not double.search(text), name
+# ---- precision and width of vectors -------------------------------------------------------------------------------------
+
+ARITHMETIC = r"\bf(add|sub|mul|div|rem|neg|cmp)\b[^\n]*\b{0}\b"  # of single numbers and of vectors: <16 x double>
+CALLS = (
+    r"\bcall\b[^\n@]*\b{0}>? @(?!PyFloat_)"  # llvm.fmuladd, llvm.sqrt ...; Python's floats are double, kernels are not
+)
 
 
-def test_the_search_for_double_arithmetic_finds_it_in_float64(uncached):
-    text = compiled(pmpm.Simulation(scene({"water": WATER})))
-    assert all(re.search(r"\bf(add|mul)\b[^\n]*\bdouble\b", text[name]) for name in ("p2g 0", "g2p 0"))
+def arithmetic_in(text, kind):
+    return [match.group() for part in (ARITHMETIC, CALLS) for match in re.finditer(part.format(kind), text)]
+
+
+@pytest.mark.parametrize(
+    ("loops", "scene_name"), [("lanes", "float32, 2-D"), ("lanes", "float32, 3-D"), ("scalar", "float32, 3-D")]
+)
+def test_float32_kernels_hold_no_double_arithmetic(simulation_of, loops, scene_name):
+    """No entry does, those that sort particles and sum planes included."""
+    simulation = simulation_of(scene_name, loops)
+    texts = text_of(simulation, simulation.kernels.entries)
+    assert {name: found for name, text in texts.items() if (found := arithmetic_in(text, "double"))} == {}
+    for name in ("p2g 0", "p2g 1", "p2g 2", "g2p 0", "g2p 1", "g2p 2"):
+        assert arithmetic_in(texts[name], "float")  # the search looks at the right text
+
+
+def test_the_search_for_double_arithmetic_finds_it_in_float64(simulation_of):
+    """Of single numbers, of lanes, and in calls of either."""
+    text = text_of(simulation_of("water and sand"), ["g2p 1", "p2g 1"])
+    found = "\n".join(arithmetic_in(text["g2p 1"] + text["p2g 1"], "double"))
+    assert re.search(r"fmul [a-z ]*double", found)
+    assert re.search(r"fmul [a-z ]*<16 x double>", found)
+    assert re.search(r"call [a-z ]*<16 x double> @", found)
+    assert not arithmetic_in(text["g2p 1"], "float")
+
+
+def registers_of_arithmetic(simulation, names):
+    """How often the assembly of these kernels computes with single precision in zmm, ymm, xmm, or one number at a time."""
+    entries, counts = simulation.kernels.entries, Counter()
+    for name in names:
+        for signature in entries[name].signatures:
+            text = entries[name].inspect_asm(signature)
+            for operation, packed, operands in re.findall(
+                r"\bv(fn?m(?:add|sub)\d+|add|sub|mul|div)([ps]s)\s(.*)", text
+            ):
+                register = re.search("[xyz]mm", operands).group() if packed == "ps" else "one"
+                counts["fma" if operation.startswith("f") else "other", register] += 1
+    return counts
+
+
+def share(counts, register, kinds=("fma",)):
+    return sum(counts[k, register] for k in kinds) / sum(n for (kind, _), n in counts.items() if kind in kinds)
+
+
+def check_width(counts, register):
+    """The vectors of the machine do the work.
+
+    Found: every FMA, and 95 % of the arithmetic. Once a segment or a call single numbers are computed with (mass, step,
+    limits); a compiler may do a little more of that, so nearly all is claimed, not all.
+    """
+    assert sum(n for (kind, _), n in counts.items() if kind == "fma") > 100
+    assert share(counts, register) >= 0.95
+    assert share(counts, register, ("fma", "other")) >= 0.9
+    assert share(counts, "one") <= 0.02
+
+
+on_x86 = pytest.mark.skipif(platform.machine().lower() not in ("x86_64", "amd64"), reason="names registers of x86")
+
+
+@on_x86
+def test_float32_kernels_compute_in_the_widest_vectors_of_the_machine(simulation_of):
+    """P2G and G2P of all laws: 512 bits with AVX-512, else 256 bits."""
+    features = llvmlite.binding.get_host_cpu_features()
+    told = numba.config.CPU_NAME or numba.config.CPU_FEATURES
+    if told or not (features.get("avx2") and features.get("fma")):
+        pytest.skip("compiled for another machine, or for one without AVX2 and FMA")
+    names = [f"{phase} {law}" for phase in ("p2g", "g2p") for law in range(3)]
+    counts = registers_of_arithmetic(simulation_of("float32, 3-D"), names)
+    check_width(counts, "zmm" if features.get("avx512f") else "ymm")
+
+
+def print_registers():
+    counts = registers_of_arithmetic(pmpm.Simulation(SCENES["float32, 3-D, water"]()), ["p2g 0", "g2p 0"])
+    print(json.dumps([[*key, count] for key, count in counts.items()]))
+
+
+@on_x86
+def test_float32_kernels_compute_in_256_bits_on_machines_without_avx512(tmp_path):
+    environment = os.environ | {
+        "NUMBA_CPU_NAME": "x86-64-v3",
+        "NUMBA_CPU_FEATURES": "+avx2,+fma",  # numba adds those of this machine to the name unless told which
+        "PMPM_CACHE_DIR": str(tmp_path),
+        "PMPM_LOOPS": "lanes",
+        "PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), str(Path(__file__).parent)]),
+    }
+    command = [sys.executable, "-c", "import test_kernels; test_kernels.print_registers()"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    counts = Counter({(kind, register): n for kind, register, n in json.loads(done.stdout)})
+    check_width(counts, "ymm")
+    assert counts["fma", "zmm"] + counts["other", "zmm"] == 0
+
+
+# ---- one source ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("la", "count"), [(tensors2, 4), (tensors3, 9)], ids=["2-D", "3-D"])
@@ -132,6 +275,9 @@ def advance_then_stress(state, G, params):
     return advanced + law.kirchhoff_stress(advanced, params)
 
 
+# ---- when kernels are compiled again -------------------------------------------------------------------------------------
+
+
 def run(folder, package, cache, out):
     """Run the scene of `folder` in a fresh process with its own copy of the package; returns its report."""
     environment = os.environ | {"PYTHONPATH": str(package.parent), "PMPM_CACHE_DIR": str(cache)}
@@ -142,14 +288,18 @@ def run(folder, package, cache, out):
 
 
 def test_a_second_start_compiles_nothing_and_an_edit_only_what_uses_it(tmp_path):
-    """Of a scene of water and rubber, editing rubber's law compiles its P2G and its G2P again, nothing else."""
+    """Of a scene of water and rubber, editing rubber's law compiles its P2G and its G2P again, nothing else.
+
+    The words of lanes.py are no plain Python that could be followed into each kernel: editing it compiles all of them.
+    """
     package, cache = tmp_path / "copy" / "pmpm", tmp_path / "cache"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "both.toml").write_text(scene({"water": WATER, "rubber": RUBBER}).to_toml(), encoding="utf-8")
 
     first = run(tmp_path, package, cache, "first")
     kernels = first["kernels_compiled"]
-    assert kernels == 9  # P2G and G2P of two laws, fold, gravity, division by mass, separating wall and its image
+    # P2G and G2P of two laws; 6 that every scene has for its nodes, 5 to sort particles; separating wall and its image.
+    assert kernels == 2 * 2 + len(PER_SCENE) + len(PER_PLACES) + len(SORTING) + 2 == 17
     assert first["kernels_loaded"] == 0
 
     second = run(tmp_path, package, cache, "second")
@@ -173,6 +323,11 @@ def test_a_second_start_compiles_nothing_and_an_edit_only_what_uses_it(tmp_path)
     source.write_text(edited.replace("SMALLEST = 1e-10", "SMALLEST = 1e-11"))
     fifth = run(tmp_path, package, cache, "fifth")
     assert (fifth["kernels_compiled"], fifth["kernels_loaded"]) == (2, kernels - 2)  # both use this constant
+
+    with (package / "kernels" / "lanes.py").open("a") as words_of_lanes:
+        words_of_lanes.write("# edited\n")
+    sixth = run(tmp_path, package, cache, "sixth")
+    assert (sixth["kernels_compiled"], sixth["kernels_loaded"]) == (kernels, 0)
 
 
 def test_a_function_that_closes_over_variables_is_refused():
