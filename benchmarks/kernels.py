@@ -38,7 +38,7 @@ COMPARED = 8  # steps from the start after which positions are compared
 # the other half is left for what weights and velocities lose.
 DIFFERENCE = COMPARED * 2.0**-24
 LEAST_STEPS, LEAST_SORTS = 60, 2
-AVX2 = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": "-avx512f"}
+AVX2 = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": "+avx2,+fma"}
 ORDINARY, FAST = "ordinary", "fast"
 
 TAICHI = {"W1": (15.0, 25.0), "W2": (22.0, 38.0), "W3": (15.0, 25.0)}  # times faster: must, stretch

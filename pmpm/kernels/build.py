@@ -18,7 +18,8 @@ WALLS = {
     "separate": (boundary.wall_separate, boundary.image_mirrored, False),
     "friction": (boundary.wall_friction, boundary.image_mirrored, False),
 }
-PER_SCENE = ("clear", "pack", "take_planes", "add_planes", "add_gravity", "divide_by_mass")
+PER_SCENE = ("clear", "add_gravity", "divide_by_mass")
+PER_CUT = ("pack", "take_planes", "add_planes")  # called, hence compiled, only where there are cuts
 PER_PLACES = ("loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
 LOOPS = {"lanes": lane_loops, "scalar": scalar_loops}
@@ -191,7 +192,7 @@ def build(needs, layouts, parameter_counts, kind):
         wall, image, two_sided = WALLS[name]
         target = targets.scalar(real, **scene, wall=wall, image=image, TWO_SIDED=two_sided)
         walls[name], images[name] = target.entry(loops.apply_wall), target.entry(loops.fill_beyond_wall)
-    shared = {name: general.entry(getattr(loops, name)) for name in PER_SCENE}
+    shared = {name: general.entry(getattr(loops, name)) for name in (*PER_SCENE, *PER_CUT)}
     for_places = targets.scalar(real)
     shared |= {name: for_places.entry(getattr(sorting, name)) for name in PER_PLACES}
     for_orders = targets.scalar(np.float64)

@@ -643,7 +643,7 @@ def g2p(
                 block += 1
                 left -= 16
     restore_denormals(before)
-    return largest_lane(speeds), largest_lane(waves), largest_lane(drifts) * UNIT
+    return largest_lane(speeds), largest_lane(waves), real(largest_lane(drifts)) * UNIT
 
 
 def moved(places, o, axis, step):
