@@ -67,7 +67,9 @@ class Simulation:
         self.timers = Timers()
         loops = build.chosen_loops()
         if loops not in build.LOOPS:
-            raise SceneError(f"environment: PMPM_LOOPS = {loops!r} is not a kind of loops; known are {', '.join(build.LOOPS)}")
+            raise SceneError(
+                f"environment: PMPM_LOOPS = {loops!r} is not a kind of loops; known are {', '.join(build.LOOPS)}"
+            )
         self.kernels = build.build(self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables], loops)
 
         self.cut(cut_evenly(populate.count_per_layer(self), self.comm.size, self.needs.stencil.window))

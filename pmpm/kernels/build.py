@@ -23,6 +23,7 @@ PER_CUT = ("pack", "take_planes", "add_planes")  # called, hence compiled, only 
 PER_PLACES = ("loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
 LOOPS = {"lanes": lane_loops, "scalar": scalar_loops}
+CACHE_LINE = 64  # bytes
 VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
 
 
@@ -63,9 +64,9 @@ def chosen_loops():
 
 
 def aligned(count, dtype):
-    """Zeros on a 64-byte boundary."""
-    room = np.zeros(count * np.dtype(dtype).itemsize + 64, np.uint8)
-    first = -room.ctypes.data % 64
+    """Zeros that begin a cache line."""
+    room = np.zeros(count * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
+    first = -room.ctypes.data % CACHE_LINE
     return room[first : first + count * np.dtype(dtype).itemsize].view(dtype)
 
 
@@ -146,6 +147,7 @@ def lane_choices(needs):
         for name in ("store_column", "store_constant", "vector", "matrix")
     }
     return {
+        "LINE": CACHE_LINE // np.dtype(needs.precision).itemsize,
         "load_vector": lane_loops.FIELD_TUPLES[needs.dim],
         "load_matrix": lane_loops.FIELD_TUPLES[needs.dim**2],
         "empty_stencil": getattr(lane_loops, f"stencil_{n}"),
@@ -161,11 +163,12 @@ def lane_choices(needs):
     }
 
 
-def law_choices(law, layout, parameter_count, tuples):
+def law_choices(law, layout, parameter_count, tuples, real):
     """Constants and functions of one law."""
     return dict(law.choices) | {
         "law": law.module,
         "FIELDS": layout.size,
+        "LINES": -(-layout.size * real.itemsize // CACHE_LINE),
         "load_state": tuples[layout.size - layout.state_first],
         "PARAMETERS": parameter_count,
     }
@@ -184,7 +187,7 @@ def build(needs, layouts, parameter_counts, kind):
     general = targets.scalar(real, **scene)
     p2g, g2p = [], []
     for law, layout, count in zip(needs.laws, layouts, parameter_counts, strict=True):
-        target = make(real, **scene, **own, **law_choices(law, layout, count, module.FIELD_TUPLES))
+        target = make(real, **scene, **own, **law_choices(law, layout, count, module.FIELD_TUPLES, np.dtype(real)))
         p2g.append(target.entry(module.p2g))
         g2p.append(target.entry(module.g2p))
     walls, images = {}, {}

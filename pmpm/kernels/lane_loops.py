@@ -73,7 +73,7 @@ QUAD_SLAB, QUAD_MIDDLE, QUAD_ROW, QUAD_CONSTANT = 400, 464, 528, 592
 QUAD_F_SLAB, QUAD_F_MIDDLE, QUAD_F_ROW = 656, 720, 784
 GATHERED, GRADIENTS = 400, 656
 CAUSES = 912
-AHEAD = 2  # blocks
+AHEAD, LINE, LINES = 2, 8, 2  # blocks fetched ahead; reals of a cache line; lines per particle
 SCRATCH = 1024
 ROW_DISTANCE = 0  # of the constants of a row: distances of its nodes, then the powers of the weights and slopes
 ROW_WEIGHT, ROW_SLOPE = 16, 80
@@ -394,8 +394,6 @@ def p2g(
             mass, volume0, params = table[body, MASS_COLUMN], table[body, VOLUME_COLUMN], load_parameters(table, body)
             while left > 0:
                 o = block * (16 * FIELDS)
-                for f in range(FIELDS):
-                    prefetch(values, o + AHEAD * (16 * FIELDS) + 16 * f, False)
                 m, r = place_block(
                     where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], windows.shape[2] * windows.shape[3],
                     windows.shape[3],
@@ -404,6 +402,8 @@ def p2g(
                 lowest_row, highest_row = min(lowest_row, r), max(highest_row, r)
                 momentum_block(values, o, scratch, mass, volume0, params, dt, dx, inv_dx)
                 for lane in range(min(left, 16)):
+                    for line in range(LINES):
+                        prefetch(values, o + AHEAD * 16 * FIELDS + (lane * LINES + line) * LINE, False)
                     first = first_nodes[lane]
                     if first != held:
                         if held != NOWHERE:
@@ -577,13 +577,13 @@ def g2p(
             while left > 0:
                 o = block * (16 * FIELDS)
                 count = min(left, 16)
-                for f in range(FIELDS):
-                    prefetch(values, o + AHEAD * (16 * FIELDS) + 16 * f, True)
                 place_block(
                     where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], nodes.shape[1] * nodes.shape[2],
                     nodes.shape[2],
                 )  # fmt: skip
                 for lane in range(count):
+                    for line in range(LINES):
+                        prefetch(values, o + AHEAD * 16 * FIELDS + (lane * LINES + line) * LINE, True)
                     gather(grid, layer * plane + first_nodes[lane], plane, row, scratch, constants, lane)
                 nothing = in_all_lanes(real(0.0))
                 for lane in range(count, 16):  # what fills up a block stays where it is, unchanged

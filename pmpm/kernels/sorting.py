@@ -181,9 +181,6 @@ def permute(
         while left > 0:
             here = min(left, 16)
             coming = max(source[order[min(n + AHEAD, order.shape[0] - 1)]], 0) >> 4
-            for f in range(fields):
-                prefetch(old_values, (coming * fields + f) * 16, False)
-                prefetch(new_values, ((new + 2) * fields + f) * 16, True)
             arrived = False
             for lane in range(16):
                 p = order[n + min(lane, here - 1)]
@@ -203,6 +200,9 @@ def permute(
                         new_values[o + 16 * f + lane] = value
             else:
                 for f in range(fields):
+                    for part in range(16 * f, 16 * (f + 1), 64 // new_blocks.itemsize):
+                        prefetch(old_values, coming * fields * 16 + part, False)
+                        prefetch(new_values, (new + 2) * fields * 16 + part, True)
                     store(new_values, o + 16 * f, gather(old_values, old_places, 0, 16 * f))
             for lane in range(here, 16):
                 new_ids[new, lane] = -1
