@@ -1,0 +1,174 @@
+"""Small lively scenes run with the fast kernels and with the scalar ones, and how far the two have come apart.
+
+Factors and their values come from the solver itself where it lists them; what it gains fails
+tests/test_fast_and_scalar.py until a scene here has it.
+"""
+
+import os
+import re
+from unittest import mock
+
+import every_pair
+import numpy as np
+
+from pmpm.physics import tensors2 as la
+from pmpm.scene.errors import SceneError
+from pmpm.scene.schema import Method, Scene
+from pmpm.simulation import Simulation
+
+STEPS = 50
+BOUND = 500.0  # eps; 43 measured, but for cubic APIC: see docs/results/fast_and_scalar.md
+METHOD = ("shape_function", "transfer", "precision")
+CELL = 0.05
+
+
+def own_law(F, mu, bulk):
+    """Shear and volume apart, the latter without a logarithm."""
+    b, J = la.left_cauchy_green(F), la.det(F)
+    return la.scale_plus_diagonal(mu, b, 0.5 * bulk * (J * J - 1.0) - mu * la.trace_symmetric(b) / la.DIM)
+
+
+# Waves of about 12 m/s in all of them.
+RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e5, "poisson_ratio": 0.3}
+WATER = {"model": "fluid", "density": 1000.0, "sound_speed": 12.0}
+SAND = RUBBER | {"model": "drucker_prager", "friction_angle": 35.0}
+OWN = {"model": own_law, "density": 1000.0, "mu": 4e4, "bulk": 1e5}
+# In this order the laws of `several` have the kernels that other rows compile already.
+MATERIALS = {
+    "fluid": (WATER,),
+    "fluid, gamma 1": (WATER | {"gamma": 1.0},),
+    "drucker_prager, no volume correction": (SAND | {"volume_correction": False},),
+    "drucker_prager": (SAND,),
+    "neo_hookean": (RUBBER,),
+    "own law": (OWN,),
+    "several": (WATER, RUBBER, SAND),
+}
+# Per dimension: cells along x, y, z and periodic axes. Each axis is cut into slabs in one of them.
+ARRANGEMENTS = {
+    2: (((20, 9), ""), ((9, 20), "x"), ((9, 20), "y")),
+    3: (((18, 8, 8), ""), ((8, 18, 8), "z"), ((8, 7, 18), "xz")),
+}
+FRICTION = {"type": "friction", "coefficient": 0.3}
+# Each kind takes seconds to compile, for each dimension and precision.
+WALLS = {
+    (2, "float32"): ("separate", FRICTION),
+    (2, "float64"): (FRICTION, "slip"),
+    (3, "float32"): ("stick", "separate"),
+    (3, "float64"): (FRICTION, "separate"),
+}
+
+
+def built_words(key):
+    """The words that a scene takes for method.`key`, out of its own complaint about another one."""
+    try:
+        Method(**{key: "?"})
+    except SceneError as complaint:
+        return re.search(r"known are: (.+)", str(complaint))[1].split(", ")
+    raise AssertionError(f"method.{key} takes any word")
+
+
+FACTORS = {
+    "material": list(MATERIALS),
+    "dim": list(ARRANGEMENTS),
+    **{key: built_words(key) for key in METHOD},
+}
+ALL = every_pair.full_product(FACTORS)
+PAIRS = every_pair.every_pair(FACTORS)
+
+
+def arrangement(row):
+    """Cells and periodic axes of a row: in turn, so that the few kinds of kernels in PAIRS meet all of them."""
+    kinds = [kernels_of(other) for other in PAIRS + ALL if other["dim"] == row["dim"]]
+    choices = ARRANGEMENTS[row["dim"]]
+    return choices[list(dict.fromkeys(kinds)).index(kernels_of(row)) % len(choices)]
+
+
+def kernels_of(row):
+    """All values but the material, so that laws together have the kernels that they have alone."""
+    return tuple(value for factor, value in row.items() if factor != "material")
+
+
+def label(row):
+    return " ".join(map(str, row.values()))
+
+
+def scene(row):
+    """Two bodies, three if of several laws, that hit the walls of opposite corners or cross the ends of periodic axes."""
+    dim, (cells, periodic) = row["dim"], arrangement(row)
+    long = np.arange(dim) == np.argmax(cells)
+    size, velocity = np.array(cells), np.array([2.5, 2.0, 1.5])[:dim]
+    middle = np.where(long, 7.5, 3.0)
+    shapes = (
+        ({"type": "box", "min": [0.5] * dim, "max": np.where(long, 5.5, 4.5)}, -velocity, 5 if dim == 2 else 6),
+        ({"type": "sphere", "center": size - 2.6, "radius": 2.2}, velocity, 4 if dim == 2 else 8),
+        ({"type": "box", "min": middle - 2.0, "max": middle + 2.0}, -1.5 * velocity, 3 if dim == 2 else 5),
+    )
+    laws = MATERIALS[row["material"]]
+    # Bodies of one law differ in what they weigh.
+    materials = {f"{i}": laws[i] if i < len(laws) else laws[0] | {"density": 1300.0} for i in range(max(2, len(laws)))}
+    walls = {
+        f"{axis}_{end}": WALLS[dim, row["precision"]][place % 2]
+        for place, axis in enumerate("xyz"[:dim])
+        for end in ("min", "max")
+        if axis not in periodic
+    }
+    return Scene(
+        domain={
+            "size": (size * CELL).tolist(),
+            "cell_size": CELL,
+            "gravity": [-20.0, -60.0, -30.0][:dim],
+            "periodic": list(periodic),
+            "walls": walls,
+        },
+        method={key: row[key] for key in METHOD},
+        time={"end": 10.0, "cfl": 0.6},
+        materials=materials,
+        bodies=[
+            {"material": name, "shape": in_metres(shape), "velocity": velocity.tolist(), "particles_per_cell": per_cell}
+            for name, (shape, velocity, per_cell) in zip(materials, shapes, strict=False)
+        ],
+    )
+
+
+def in_metres(shape):
+    return {key: value if key == "type" else (np.array(value) * CELL).tolist() for key, value in shape.items()}
+
+
+def run(scene, loops, comm=None):
+    """A simulation of the scene after its 50 steps with "lanes" or "scalar" loops. Collective."""
+    with mock.patch.dict(os.environ, PMPM_LOOPS=loops):
+        simulation = Simulation(scene, comm)
+    simulation.run(steps=STEPS)
+    return simulation
+
+
+def by_id(simulation):
+    """[{name: rows}] per law, of all ranks and in the order of the ids: node and part of a cell, v, C and the state."""
+    found = []
+    for population, layout in zip(simulation.populations, simulation.layouts, strict=True):
+        node, part = population.cells(simulation.geometry.axes)
+        own = {"id": population.id[population.lanes], "node": node, "part": part}
+        own |= {field.name: population.rows(layout.where(field.name)) for field in layout.fields if field.name != "x"}
+        rows = {name: np.concatenate(simulation.comm.gather(values)) for name, values in own.items()}
+        order = np.argsort(rows["id"])
+        found.append({name: values[order] for name, values in rows.items()})
+    return found
+
+
+def distances(simulation, other):
+    """{name: largest difference, in eps of what it is measured by}. Collective.
+
+    Positions are measured by a cell, v and C by the largest one of the law, state variables by 1: they are strains or near 1.
+    """
+    eps, geometry, found = float(np.finfo(simulation.real).eps), simulation.geometry, {}
+    period = np.where(geometry.periodic, geometry.cells, 2**40)
+    for one, two in zip(by_id(simulation), by_id(other), strict=True):
+        assert np.array_equal(one.pop("id"), two.pop("id"))
+        nodes, part = one.pop("node") - two.pop("node"), one.pop("part") - two.pop("part")
+        apart = {"x": np.abs((nodes + period // 2) % period - period // 2 + part)}
+        for name, rows in one.items():
+            a, b = rows.astype(float), two[name].astype(float)
+            apart[name] = np.abs(a - b) / (np.abs(a).max() if name in ("v", "C") else 1.0)
+        for name, difference in apart.items():
+            found[name] = float(np.maximum(found.get(name, 0.0), difference.max() / eps))  # nan stays
+    return found
