@@ -71,17 +71,20 @@ def aligned(count, dtype):
 
 
 def row_constants(stencil, real):
-    """What a row of four nodes is computed from: distances, then powers 0 .. 3 of weights and slopes, node by node.
+    """What a row of four nodes is computed from, node by node: distances, origins, then coefficients of the powers 0 .. 3 of
+    weights and slopes, counted from the origins.
 
-    The powers come out of the physics itself, by calling it with the polynomial g.
+    The coefficients come out of the physics itself, by calling it with a polynomial.
     """
     from numpy.polynomial import Polynomial
 
-    table = np.zeros((1 + 4 + 4, 4))
+    table = np.zeros((2 + 4 + 4, 4))
     table[0] = np.arange(4.0) - stencil.low
-    for first, function in ((1, stencil.weights), (5, stencil.slopes)):
-        for node, polynomial in enumerate(function(Polynomial([0.0, 1.0]))):
-            table[first : first + len(polynomial.coef), node] = polynomial.coef
+    for node, origin in enumerate(stencil.origins):
+        table[1, node] = origin
+        for first, function in ((2, stencil.weights), (6, stencil.slopes)):
+            coefficients = function(Polynomial([origin, 1.0]))[node].coef
+            table[first : first + len(coefficients), node] = coefficients
     constants = aligned(lane_loops.CONSTANTS, real)
     constants[:] = np.repeat(table.ravel(), 4)
     return constants

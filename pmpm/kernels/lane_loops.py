@@ -75,9 +75,9 @@ GATHERED, GRADIENTS = 400, 656
 CAUSES = 912
 AHEAD, LINE, LINES = 2, 8, 2  # blocks fetched ahead; reals of a cache line; lines per particle
 SCRATCH = 1024
-ROW_DISTANCE = 0  # of the constants of a row: distances of its nodes, then the powers of the weights and slopes
-ROW_WEIGHT, ROW_SLOPE = 16, 80
-CONSTANTS = 144
+# Of the constants of a row: distances of its nodes, origins, then the coefficients of weights and slopes.
+ROW_DISTANCE, ROW_ORIGIN, ROW_WEIGHT, ROW_SLOPE = 0, 16, 32, 96
+CONSTANTS = 160
 FARTHEST_NODE, NEAREST_NODE = np.int32(1 << 30), np.int32(-(1 << 30))
 
 
@@ -179,14 +179,14 @@ def place_block(places, o, table, first_nodes, base_middle, base_row, plane, row
     return first_middle, first_row
 
 
-def row_weights_3(constants, at, g):
+def row_weights_3(constants, at, t):
     """A polynomial of each node of a row, repeated for the node's 4 components: quadratic."""
-    return (load(constants, at + 32) * g + load(constants, at + 16)) * g + load(constants, at)
+    return (load(constants, at + 32) * t + load(constants, at + 16)) * t + load(constants, at)
 
 
-def row_weights_4(constants, at, g):
+def row_weights_4(constants, at, t):
     """Cubic."""
-    return ((load(constants, at + 48) * g + load(constants, at + 32)) * g + load(constants, at + 16)) * g + load(
+    return ((load(constants, at + 48) * t + load(constants, at + 32)) * t + load(constants, at + 16)) * t + load(
         constants, at
     )
 
@@ -283,7 +283,8 @@ def scatter(rows, table, constants, lane):
     """Add one particle of the block to the rows of its stencil."""
     q = 16 * (lane & 3) + 4 * (lane >> 2)  # where store_quads puts lane's values
     g = in_all_lanes(table[ROW_G + lane])
-    w = row_weights(constants, ROW_WEIGHT, g)
+    t = g - load(constants, ROW_ORIGIN)
+    w = row_weights(constants, ROW_WEIGHT, t)
     d = load(constants, ROW_DISTANCE) - g
     constant = w * (load_repeated(table, QUAD_ROW + q) * d + load_repeated(table, QUAD_CONSTANT + q))
     slab = w * load_repeated(table, QUAD_SLAB + q)
@@ -291,7 +292,7 @@ def scatter(rows, table, constants, lane):
     if DIMENSIONS == 3:
         middle = w * load_repeated(table, QUAD_MIDDLE + q)
     if not MLS:
-        constant = constant + row_weights(constants, ROW_SLOPE, g) * load_repeated(table, QUAD_F_ROW + q)
+        constant = constant + row_weights(constants, ROW_SLOPE, t) * load_repeated(table, QUAD_F_ROW + q)
         force_slab = w * load_repeated(table, QUAD_F_SLAB + q)
         if DIMENSIONS == 3:
             force_middle = w * load_repeated(table, QUAD_F_MIDDLE + q)
@@ -415,13 +416,13 @@ def p2g(
                 left -= 16
         if held != NOWHERE:
             flush(window, held, plane, row, rows)
-        if DIMENSIONS == 3:
-            boxes[layer, 0] = min(boxes[layer, 0], smallest_lane(lowest_middle))
-            boxes[layer, 1] = max(boxes[layer, 1], largest_lane(highest_middle) + NODES)
-        else:
-            boxes[layer, 0], boxes[layer, 1] = 0, 1
-        boxes[layer, 2] = min(boxes[layer, 2], smallest_lane(lowest_row))
-        boxes[layer, 3] = max(boxes[layer, 3], largest_lane(highest_row) + 4)
+            if DIMENSIONS == 3:
+                boxes[layer, 0] = min(boxes[layer, 0], smallest_lane(lowest_middle))
+                boxes[layer, 1] = max(boxes[layer, 1], largest_lane(highest_middle) + NODES)
+            else:
+                boxes[layer, 0], boxes[layer, 1] = 0, 1
+            boxes[layer, 2] = min(boxes[layer, 2], smallest_lane(lowest_row))
+            boxes[layer, 3] = max(boxes[layer, 3], largest_lane(highest_row) + 4)
         if folds:
             fold_layer(windows[place_of_window], boxes[layer], targets[layer], nodes, plane_boxes, unsummed, slot_boxes)
     restore_denormals(before)
@@ -499,14 +500,15 @@ def gather(nodes, o, plane, row, table, constants, lane):
     v, B_slab, B_middle, L_slab, L_middle = gather_slabs(
         (zero, zero, zero, zero, zero), nodes, o, plane, row, table, lane
     )
-    w = row_weights(constants, ROW_WEIGHT, g)
+    t = g - load(constants, ROW_ORIGIN)
+    w = row_weights(constants, ROW_WEIGHT, t)
     B_row = w * v * (load(constants, ROW_DISTANCE) - g)
     if DIMENSIONS == 3:
         store(table, GATHERED + 16 * lane, sum_nodes(w * v, w * B_slab, w * B_middle, B_row))
     else:
         store(table, GATHERED + 16 * lane, sum_nodes(w * v, w * B_slab, zero, B_row))
     if not MLS:
-        L_row = row_weights(constants, ROW_SLOPE, g) * v
+        L_row = row_weights(constants, ROW_SLOPE, t) * v
         if DIMENSIONS == 3:
             store(table, GRADIENTS + 16 * lane, sum_nodes(zero, w * L_slab, w * L_middle, L_row))
         else:

@@ -20,6 +20,7 @@ class Stencil:
     low: int
     round: float
     inertia: float
+    origins: tuple[float, ...]
     weights: Callable
     slopes: Callable
 
@@ -47,6 +48,7 @@ STENCILS = {
         bspline.LOW_QUADRATIC,
         bspline.ROUND_QUADRATIC,
         bspline.INERTIA_QUADRATIC,
+        bspline.ORIGINS_QUADRATIC,
         bspline.weights_quadratic,
         bspline.slopes_quadratic,
     ),
@@ -55,6 +57,7 @@ STENCILS = {
         bspline.LOW_CUBIC,
         bspline.ROUND_CUBIC,
         bspline.INERTIA_CUBIC,
+        bspline.ORIGINS_CUBIC,
         bspline.weights_cubic,
         bspline.slopes_cubic,
     ),

@@ -9,6 +9,12 @@ NODES_QUADRATIC = 3  # nodes of the stencil per axis
 LOW_QUADRATIC = 1  # of them, below the centre node
 ROUND_QUADRATIC = 0.5  # centre = floor(x / dx + ROUND)
 INERTIA_QUADRATIC = 4.0  # 1 / sum of w d d over the stencil, in 1 / cells^2 (APIC's D^-1 dx^2)
+ORIGINS_QUADRATIC = (
+    0.5,
+    0.0,
+    -0.5,
+)  # of a node, the g where its weight or slope vanishes: in powers of the distance from
+# there, small weights and slopes keep their digits, which force over mass of a lone particle needs
 
 
 def weights_quadratic(g):
@@ -21,6 +27,7 @@ def slopes_quadratic(g):
 
 
 NODES_CUBIC, LOW_CUBIC, ROUND_CUBIC, INERTIA_CUBIC = 4, 1, 0.0, 3.0
+ORIGINS_CUBIC = (1.0, 0.0, 1.0, 0.0)
 
 
 def weights_cubic(g):
