@@ -13,10 +13,10 @@ SEGMENT_COLUMNS = 5
 AHEAD = 48  # particles
 
 
-def loosen(places, segments, layer_start, first_layer, half, fraction, axes, cells, homes, bodies, source):
-    """Home nodes of all particles; places count from them afterwards.
+def loosen(places, segments, layer_start, first_layer, half, fraction, axes, nodes, periodic, homes, bodies, source):
+    """Home nodes of all particles, 0 .. nodes[axis] - 1; places count from them afterwards.
 
-    `cells[axis]` > 0 where an axis is periodic. Exact: places change by whole cells.
+    Exact: places change by whole cells. What is a little beyond a wall has the outermost home.
     """
     n = 0
     for layer in range(layer_start.shape[0] - 1):
@@ -29,9 +29,14 @@ def loosen(places, segments, layer_start, first_layer, half, fraction, axes, cel
                     if axis >= 0:
                         base = first_layer + layer if array_axis == 0 else segments[s, 2 + array_axis]
                         settle(places[block, axis], homes[axis], n, count, base, half, fraction)
-                        if cells[axis] > 0:
+                        if periodic[axis]:
                             for k in range(n, n + count):
-                                homes[axis, k] %= cells[axis]
+                                homes[axis, k] %= nodes[axis]
+                        else:
+                            for k in range(count):
+                                home = max(0, min(nodes[axis] - 1, homes[axis, n + k]))
+                                places[block, axis, k] += (homes[axis, n + k] - home) << fraction
+                                homes[axis, n + k] = home
                 for k in range(count):
                     bodies[n + k] = body
                     source[n + k] = 16 * block + k

@@ -1,5 +1,6 @@
 """From a scene to what the floors below take: plain constants, tables and boxes of nodes."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from pmpm.scene.errors import SceneError
 from pmpm.state.grid import Geometry
 
 FACES = ("min", "max")
+MOST_NODES = 75_000_000  # of a plane: 7 planes of 4 reals are counted in 32 bits
 
 
 def scene_needs(scene):
@@ -31,13 +33,14 @@ def grid_geometry(scene, needs):
 
 
 def check_axes(geometry):
-    """Raise SceneError where the grid cannot hold the scene: too few cells on a periodic axis, too many across slabs."""
+    """Raise SceneError where the grid cannot hold the scene: too few cells on a periodic axis, too many in a plane."""
     for axis in range(geometry.dim):
         name, cells, window = "xyz"[axis], geometry.cells[axis], geometry.stencil.window
         if geometry.periodic[axis] and cells < window:
             raise SceneError(f"scene: domain.periodic: axis {name} has {cells} cells, a periodic axis needs {window}")
-        if geometry.dim == 3 and axis != geometry.axes[0] and cells > 65_000:
-            raise SceneError(f"scene: domain.cell_size: {cells} cells along {name}; at most 65000 in 3-D")
+    nodes = math.prod(geometry.plane_shape)
+    if nodes > MOST_NODES:
+        raise SceneError(f"scene: domain.cell_size: a plane of the grid has {nodes} nodes; at most {MOST_NODES}")
 
 
 def law_table(scene, law):

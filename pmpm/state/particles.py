@@ -177,7 +177,7 @@ class Loose:
         kernels.loosen(
             population.places, population.segments, population.layer_start, population.first_layer,
             int(geometry.stencil.round * 2**form.fraction), form.fraction, np.array(geometry.axes),
-            np.array([cells * repeats for cells, repeats in zip(geometry.cells, geometry.periodic, strict=True)]),
+            np.array([geometry.homes(axis) for axis in range(geometry.dim)]), np.array(geometry.periodic),
             loose.homes, loose.rows, loose.source,
         )  # fmt: skip
         return loose
