@@ -49,7 +49,11 @@ class Particles:
         geometry = self.simulation.geometry
         cells = x / geometry.cell_size
         node = np.floor(cells + geometry.stencil.round)
-        return population.at(node, self.simulation.needs.places.from_cells(cells - node))
+        place = self.simulation.needs.places.from_cells(cells - node)
+        for axis in range(geometry.dim):
+            if geometry.periodic[axis]:
+                node[:, axis] %= geometry.cells[axis]
+        return population.at(node, place)
 
     def check_inside(self, x):
         """Raise ValueError, on all ranks, if any rank's positions (n, dim) in m are not numbers or beyond the walls."""

@@ -41,6 +41,7 @@ from pmpm.kernels.loops import (
     FARTHEST,
     MASS_COLUMN,
     NOWHERE,
+    PADDING,
     SETTLED,
     VOLUME_COLUMN,
     fold_layer,
@@ -56,7 +57,7 @@ from pmpm.physics.words import floor
 
 real = integer = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
-NODES, PADDING, INERTIA = 3, 1, 4.0
+NODES, INERTIA = 3, 4.0
 FRACTION, HALF, CENTRE, UNIT, ONE_CELL = 52, 1 << 51, 0, 2.0**-52, 2.0**52
 MLS = False
 PERIODIC_MIDDLE = PERIODIC_ROW = False
@@ -68,7 +69,6 @@ OFFSETS = (-1.0, 0.0, 1.0)
 SLAB_W, SLAB_E, SLAB_D = 0, 64, 128
 MIDDLE_W, MIDDLE_E, MIDDLE_D = 192, 256, 320
 ROW_G = 384
-QUADS = 400
 QUAD_SLAB, QUAD_MIDDLE, QUAD_ROW, QUAD_CONSTANT = 400, 464, 528, 592
 QUAD_F_SLAB, QUAD_F_MIDDLE, QUAD_F_ROW = 656, 720, 784
 GATHERED, GRADIENTS = 400, 656
@@ -655,5 +655,9 @@ def moved(places, o, axis, step):
 
 
 def beyond(place, low, high):
-    """How far a place is outside low .. high, plus the drift of a settled particle."""
-    return max(low - place, place - high) + place_at(SETTLED)
+    """How far a place is outside low .. high, plus the drift of a settled particle.
+
+    Nothing is subtracted that is not outside: differences of places far apart do not fit into their integers.
+    """
+    outside = where(place < low, low - place, where(place > high, place - high, 0))
+    return outside + place_at(SETTLED)

@@ -3,7 +3,7 @@
 A law's particles lie in `reals[block, field, lane]`, 16 lanes a block, fields place, v, C, state; `places` is the same memory
 as integers. `segments[s]` = (first block, particles, row of `table`, middle and row number of the base node): particles of
 one layer and one body whose places count from one base; along the slab axis they count from the layer. The last block of a
-segment is filled up with particles that weigh nothing.
+segment is filled up with lanes that nothing adds or counts.
 
 The grid is `nodes[plane, middle, row, (p_x, p_y, p_z, mass)]`. A box (first and last + 1 along middle and row) says where a
 plane holds anything; outside of it nodes are zero and no loop goes there, but for the rest of a row of four nodes: rows are
@@ -24,6 +24,7 @@ what it is beyond the end of a periodic axis.
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from pmpm.kernels.lanes import flush_denormals, load, repeat_mass, restore_denormals, store, where, with_mass_of
+from pmpm.kernels.places import PADDING  # noqa: F401 - of P2G and G2P
 from pmpm.physics import boundary
 from pmpm.physics import tensors2 as la
 
@@ -114,7 +115,7 @@ def pack(planes, boxes, box_message, message):
 
 
 def take_planes(nodes, boxes, first, box_message, message):
-    """Replace planes from `first` on by those of a message."""
+    """Put the planes of a message in the place of those from `first` on, which hold nothing."""
     place = 0
     for i in range(box_message.shape[0]):
         widen(boxes[first + i], box_message[i])

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmpm.kernels.places import FORMATS
+from pmpm.kernels.places import FORMATS, PADDING
 from pmpm.physics import bspline, tensors2, tensors3
 from pmpm.physics.materials import law_of
-
-PADDING = 1  # cells a particle may drift from the layer it joined at the last regroup
 
 
 @dataclass(frozen=True)

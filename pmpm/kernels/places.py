@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+PADDING = 1  # cells a particle may drift from the layer it joined at the last regroup
 REACH = 110  # cells between a base node and the home nodes of its particles, at a regroup
 TRAVEL = 8.0  # cells a particle may travel from there: 110 + 8 + 1 stays inside the integers of float32 places
 
@@ -23,6 +24,10 @@ class PlaceFormat:
     def unit(self):
         """Cells per step of the integer; a power of two."""
         return 2.0**-self.fraction
+
+    def whole(self, cells):
+        """The place of a number of cells that is a multiple of a power of two, as a Python integer."""
+        return int(cells * 2**self.fraction)
 
     def from_cells(self, offset):
         """Places of float offsets in cells, to the nearest."""

@@ -12,6 +12,7 @@ from pmpm.kernels.loops import (
     FARTHEST,
     MASS_COLUMN,
     NOWHERE,
+    PADDING,
     SETTLED,
     VOLUME_COLUMN,
     fold_layer,
@@ -28,7 +29,7 @@ from pmpm.physics.words import floor
 
 real = integer = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
-NODES, MIDDLE_NODES, PADDING, INERTIA = 3, 1, 1, 4.0
+NODES, MIDDLE_NODES, INERTIA = 3, 1, 4.0
 FRACTION, HALF, CENTRE, UNIT, ONE_CELL = 52, 1 << 51, 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
 MLS = False

@@ -16,7 +16,8 @@ AHEAD = 48  # particles
 def loosen(places, segments, layer_start, first_layer, half, fraction, axes, nodes, periodic, homes, bodies, source):
     """Home nodes of all particles, 0 .. nodes[axis] - 1; places count from them afterwards.
 
-    Exact: places change by whole cells. What is a little beyond a wall has the outermost home.
+    Exact: places change by whole cells. What is a little beyond a wall has the outermost home: up to a cell from the middle of
+    its layer (cubic), but it cannot drift further out, for half a cell beyond a wall the run stops.
     """
     n = 0
     for layer in range(layer_start.shape[0] - 1):
@@ -134,7 +135,8 @@ def by_cell(middle, row, low_middle, low_row, middles, rows, group, ordered, cou
 
 
 def cut_segments(homes, bodies, order, axes, first_layer, segments, layer_start):
-    """Segments of ordered particles: one layer, one body, home nodes within REACH of a base. Returns (segments, blocks).
+    """Segments of ordered particles: one layer, one body, home nodes within REACH of a base. Returns how many
+    segments and blocks there are.
 
     `segments` has a row for every particle; only the first are used.
     """

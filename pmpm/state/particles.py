@@ -176,7 +176,7 @@ class Loose:
         )
         kernels.loosen(
             population.places, population.segments, population.layer_start, population.first_layer,
-            int(geometry.stencil.round * 2**form.fraction), form.fraction, np.array(geometry.axes),
+            form.whole(geometry.stencil.round), form.fraction, np.array(geometry.axes),
             np.array([geometry.homes(axis) for axis in range(geometry.dim)]), np.array(geometry.periodic),
             loose.homes, loose.rows, loose.source,
         )  # fmt: skip
@@ -208,7 +208,11 @@ class Loose:
 
     def keep(self, index):
         """Only some of them, in order."""
-        self.homes, self.rows, self.source = self.homes[:, index], self.rows[index], self.source[index]
+        self.homes, self.rows, self.source = (
+            np.ascontiguousarray(self.homes[:, index]),
+            self.rows[index],
+            self.source[index],
+        )
 
 
 def assemble(loose, before, after, geometry, kernels, first_layer, layers, body_count, rest):
@@ -223,10 +227,15 @@ def assemble(loose, before, after, geometry, kernels, first_layer, layers, body_
     if len(before) or len(after):
         arrived = Cloud.join([before, after])
         number = -1 - np.arange(len(arrived))
-        homes = np.concatenate([before.node.T, homes, after.node.T], axis=1)
+        homes = np.ascontiguousarray(np.concatenate([before.node.T, homes, after.node.T], axis=1))
         bodies = np.concatenate([before.row, bodies, after.row])
         source = np.concatenate([number[: len(before)], source, number[len(before) :]])
     count, axes = len(source), np.array(geometry.axes)
+    slab = homes[geometry.axes[0]]
+    if count and not first_layer <= slab.min() <= slab.max() < first_layer + layers:
+        raise RuntimeError(
+            f"particles of layers {slab.min()} .. {slab.max()} came to a rank of {layers} from {first_layer} on"
+        )
     order, scratch = np.empty(count, np.int64), np.empty(count, np.int64)
     buckets = max(layers * body_count, count, *(geometry.extent(axis) for axis in range(geometry.dim))) + 2
     kernels.cell_order(

@@ -163,3 +163,13 @@ def test_positions_outside_the_domain_on_one_rank_are_refused_on_all():
         x[1, 1] = 0.7
     with pytest.raises(ValueError, match="2 of the new positions"):
         simulation.particles.x = x
+
+
+def test_migration_compiles_no_kernel_again():
+    """Every rank would wait for it in the middle of the run: arrays of what stays and what comes are laid out alike."""
+    simulation = Simulation(several_laws.flat(), COMM)
+    before = {name: len(kernel.signatures) for name, kernel in simulation.kernels.entries.items()}
+    while COMM.sum(simulation.sent).sum() == 0:
+        simulation.step()
+    simulation.step()
+    assert {name: len(kernel.signatures) for name, kernel in simulation.kernels.entries.items()} == before
