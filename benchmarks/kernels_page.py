@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from workloads import LAWS
 
-# Useful operations per particle-step, counted from the machine code of the rows-in-registers kernels.
+# Useful operations per particle-step, counted once from the machine code of a forerunner of these kernels.
 FLOPS = {"W1": 1600, "W3": 1450}
 CODES = ("Taichi", "Warp", "pmpm")
 PACES = ("ordinary", "fast")
@@ -35,8 +35,8 @@ NOTES = """## Notes
 
 - Taichi is written as its mpm3d example is (one field per quantity, atomic `+=`), Warp with one launch per phase and
   `atomic_add`; both clear and update the whole grid, as their users do. Neither sorts. Warp has one CPU thread.
-- Flops are useful ones with factored stencils, counted from the machine code of the rows-in-registers kernels; bytes moved are
-  3 x touched: P2G reads them, G2P reads and writes them. Both ceilings were measured in this call.
+- Flops are useful ones with factored stencils, counted once from the machine code of a forerunner of these kernels; bytes moved
+  are 3 x touched: P2G reads them, G2P reads and writes them. Both ceilings were measured in this call.
 - The ordered sum gives the same bits on any number of ranks: P2G adds a layer's particles to planes of its own first, and then
   adds these to the nodes. Its cost is that second addition.
 - `p2g` of pmpm clears the grid, its `g2p` updates the nodes. `rest` is the choice of dt and what lies between.

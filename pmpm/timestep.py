@@ -15,7 +15,10 @@ import numpy as np
 LAG = 2  # steps between the start of a reduction and its use
 MOVE = 0.2  # cells a particle may move in a step: LAG + 1 such steps and a margin fit into one cell of padding
 EVERY = 8  # steps between two counts of disorder
-RUN_COST, REGROUP_COST = 8, 75  # ns of one more run, and of a regroup per particle, as measured on an AVX-512 Xeon
+RUN_COST, REGROUP_COST = (
+    8,
+    75,
+)  # ns of one more run, and of a regroup per particle: estimates for one core of an AVX-512 Xeon
 MARGIN = 1.5  # growth of the largest speed that is allowed for between two reductions
 SPEED, WAVE, DRIFT, FAILED = range(4)  # what is reduced: max |v|^2, max c^2, max drift in cells, minus the failed step
 

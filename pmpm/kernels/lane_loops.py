@@ -39,11 +39,13 @@ from pmpm.kernels.loops import (
     CAUSE_STATE,
     DENSITY_COLUMN,
     FARTHEST,
+    FRACTION,
     MASS_COLUMN,
     NOWHERE,
     PADDING,
     SETTLED,
     VOLUME_COLUMN,
+    centre_of,
     fold_layer,
     load_parameters,
     place_at,
@@ -58,7 +60,7 @@ from pmpm.physics.words import floor
 real = integer = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 NODES, INERTIA = 3, 4.0
-FRACTION, HALF, CENTRE, UNIT, ONE_CELL = 52, 1 << 51, 0, 2.0**-52, 2.0**52
+CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 MLS = False
 PERIODIC_MIDDLE = PERIODIC_ROW = False
 FIELDS, V_FIELD, C_FIELD, STATE_FIELD = 12, 2, 4, 8
@@ -123,10 +125,6 @@ def put(a, o, values):
 
 
 # ---- where 16 particles stand --------------------------------------------------------------------------------------------
-
-
-def centre_of(place):
-    return (place + HALF) >> FRACTION
 
 
 def offset_from(place, centre):
@@ -622,12 +620,12 @@ def g2p(
                         far = max(far, beyond(middle, place_at(ends[MIDDLE, 0] - 64 * segments[s, 3]),
                                               place_at(ends[MIDDLE, 1] - 64 * segments[s, 3])))  # fmt: skip
                 valid = law.valid(state)
-                if any_of(~(steady & near & inside & valid) & live):
+                fine = steady & near & inside & valid
+                if any_of(~fine & live):
                     cause = where(valid, real(0.0), real(CAUSE_STATE))
                     cause = where(inside, cause, real(CAUSE_LEFT))
                     cause = where(steady & near, cause, real(CAUSE_POSITION))
                     store(scratch, CAUSES, cause)
-                    fine = steady & near & inside & valid
                     slab = where(fine, slab, load(where_from, o + 16 * SLAB))
                     along_row = where(fine, along_row, load(where_from, o + 16 * ROW))
                     if DIMENSIONS == 3:

@@ -208,14 +208,20 @@ def where(typingctx, condition, a, b):
     return result(condition, result, result), lower
 
 
-def reduced(builder, vector, combine):
-    """Fold halves of a vector until one element is left."""
-    width = vector.type.count
-    while width > 1:
-        width //= 2
-        low, high = (shuffled(builder, vector, vector, list(range(s, s + width))) for s in (0, width))
-        vector = combine(low, high)
-    return builder.extract_element(vector, ir.Constant(BITS, 0))
+def extreme_lane(symbol):
+    """Lowering of the smallest or the largest lane: halves are compared until one element is left."""
+    extreme = defined_by_comparison(symbol)
+
+    def lower(context, builder, sig, arguments):
+        (vector,) = arguments
+        width = vector.type.count
+        while width > 1:
+            width //= 2
+            low, high = (shuffled(builder, vector, vector, list(range(s, s + width))) for s in (0, width))
+            vector = extreme(builder, low, high)
+        return builder.extract_element(vector, ir.Constant(BITS, 0))
+
+    return lower
 
 
 @intrinsic
@@ -234,23 +240,13 @@ def any_of(typingctx, condition):
 @intrinsic
 def largest_lane(typingctx, values):
     """The largest of the lanes."""
-
-    def lower(context, builder, sig, arguments):
-        larger = defined_by_comparison(">")
-        return reduced(builder, arguments[0], lambda x, y: larger(builder, x, y))
-
-    return values.element(values), lower
+    return values.element(values), extreme_lane(">")
 
 
 @intrinsic
 def smallest_lane(typingctx, values):
     """The smallest of the lanes."""
-
-    def lower(context, builder, sig, arguments):
-        smaller = defined_by_comparison("<")
-        return reduced(builder, arguments[0], lambda x, y: smaller(builder, x, y))
-
-    return values.element(values), lower
+    return values.element(values), extreme_lane("<")
 
 
 @intrinsic
@@ -621,7 +617,7 @@ ON_X86 = platform.machine().lower() in ("x86_64", "amd64")
 def flush_denormals(typingctx):
     """Let this thread take denormal numbers as zero; returns the control word to give to `restore_denormals`.
 
-    Sand at rest makes them by the million, and each costs a hundred cycles. x86 only; elsewhere nothing happens.
+    Sand at rest makes them by the million, and the processor is slow with each. x86 only; elsewhere nothing happens.
     """
 
     def lower(context, builder, sig, arguments):

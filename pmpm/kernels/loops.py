@@ -30,7 +30,7 @@ from pmpm.physics import tensors2 as la
 
 real = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
-FRACTION, PARAMETERS = 52, 2
+FRACTION, HALF, PARAMETERS = 52, 1 << 51, 2
 MASS_COLUMN, VOLUME_COLUMN, DENSITY_COLUMN, PARAMETER_COLUMN = 0, 1, 2, 3
 FARTHEST = 95  # 64ths of a cell from the middle of a layer: a stencil stays inside the layer's padded planes
 SETTLED = 32  # the farthest right after a regroup
@@ -39,6 +39,11 @@ CAUSE_POSITION, CAUSE_STATE, CAUSE_LEFT = 1, 2, 3  # why a particle stops the ru
 NOWHERE = -1
 EMPTY_BOX = (1 << 30, 0, 1 << 30, 0)
 wall, image, TWO_SIDED = boundary.wall_stick, boundary.image_reversed, True
+
+
+def centre_of(place):
+    """The centre node of a stencil, counted from the base."""
+    return (place + HALF) >> FRACTION
 
 
 def place_at(sixty_fourths):

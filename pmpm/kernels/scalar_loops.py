@@ -10,11 +10,13 @@ from pmpm.kernels.loops import (
     CAUSE_STATE,
     DENSITY_COLUMN,
     FARTHEST,
+    FRACTION,
     MASS_COLUMN,
     NOWHERE,
     PADDING,
     SETTLED,
     VOLUME_COLUMN,
+    centre_of,
     fold_layer,
     load_parameters,
     momentum_at,
@@ -30,7 +32,7 @@ from pmpm.physics.words import floor
 real = integer = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 NODES, MIDDLE_NODES, INERTIA = 3, 1, 4.0
-FRACTION, HALF, CENTRE, UNIT, ONE_CELL = 52, 1 << 51, 0, 2.0**-52, 2.0**52
+CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
 MLS = False
 PERIODIC_MIDDLE = PERIODIC_ROW = False
@@ -78,10 +80,6 @@ def store(a, b, f, lane, values):
 
 
 # ---- where a particle stands in its stencil ----------------------------------------------------------------------------
-
-
-def centre_of(place):
-    return (place + HALF) >> FRACTION
 
 
 def offset_of(place):

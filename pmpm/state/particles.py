@@ -61,12 +61,10 @@ class Cloud:
 
 @dataclass
 class Population:
-    """One law's particles in blocks. Arrays the kernels take: reals (blocks, size, 16), places the same memory as integers,
-    segments (segments, 5) int64, layer_start (layers + 1,) int64 first segment of each layer of this rank; and id (blocks,
-    16) int64."""
+    """One law's particles in blocks. Arrays the kernels take: reals (blocks, size, 16), segments (segments, 5) int64,
+    layer_start (layers + 1,) int64 first segment of each layer of this rank; and id (blocks, 16) int64."""
 
     reals: np.ndarray
-    places: np.ndarray
     id: np.ndarray
     segments: np.ndarray
     layer_start: np.ndarray
@@ -74,10 +72,8 @@ class Population:
 
     @classmethod
     def empty(cls, size, layers, first_layer, real):
-        reals = np.zeros((0, size, LANES), real)
         return cls(
-            reals,
-            reals.view(FORMATS[reals.dtype].integer),
+            np.zeros((0, size, LANES), real),
             np.zeros((0, LANES), np.int64),
             np.zeros((0, SEGMENT_COLUMNS), np.int64),
             np.zeros(layers + 1, np.int64),
@@ -86,6 +82,11 @@ class Population:
 
     def __len__(self):
         return int(self.segments[:, 1].sum())
+
+    @property
+    def places(self):
+        """(blocks, size, 16) the same memory as integers, which the first fields are."""
+        return self.reals.view(FORMATS[self.reals.dtype].integer)
 
     @property
     def nbytes(self):
@@ -201,7 +202,6 @@ class Loose:
         padded = np.zeros((blocks * LANES, size), cloud.reals.dtype)
         padded[:count] = cloud.reals
         population.reals = np.ascontiguousarray(padded.reshape(blocks, LANES, size).transpose(0, 2, 1))
-        population.places = population.reals.view(population.places.dtype)
         population.id = np.zeros((blocks, LANES), np.int64)
         population.id.reshape(-1)[:count] = cloud.id
         return cls(population, np.ascontiguousarray(cloud.node.T), cloud.row, np.arange(count))
@@ -250,4 +250,4 @@ def assemble(loose, before, after, geometry, kernels, first_layer, layers, body_
         old.places, arrived.places, old.id, arrived.id, source, order, homes, axes, form.fraction, segments, used, places,
         ids, rest.view(form.integer),
     )  # fmt: skip
-    return Population(reals, places, ids, segments, layer_start, first_layer)
+    return Population(reals, ids, segments, layer_start, first_layer)
