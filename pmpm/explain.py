@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from pmpm.physics import stability
 from pmpm.physics.materials import LAWS, PLANNED, python_law
 from pmpm.scene import seeding
 from pmpm.scene.errors import SceneError
@@ -73,10 +74,13 @@ def estimated_step(scene, needs, tables):
 
     dx, wave = scene.domain.cell_size, 0.0
     for law, table in zip(needs.laws, tables, strict=True):
-        function = targets.plain(la=needs.tensors, **dict(law.choices)).compile(law.module.wave_speed_squared)
-        rest = tuple(float(value) for value in Layout.of(law, scene.dim).rest_state())
+        target = targets.plain(la=needs.tensors, law=law.module, **dict(law.choices))
+        identity = tuple(map(float, np.eye(scene.dim).ravel()))
         for row in table[table[:, 0] > 0]:
-            wave = max(wave, math.sqrt(function(rest, tuple(row[PARAMETERS:]), row[2])))
+            params = tuple(row[PARAMETERS:])
+            rest = target.compile(law.module.state_at)(identity, params)
+            wave = max(wave, target.compile(stability.signal_speed_squared)(rest, params, row[2], 1.0 / dx))
+    wave = math.sqrt(wave)
     speed = max(math.hypot(*body.velocity) for body in scene.bodies)
     return min(scene.time.cfl * dx / (wave * math.sqrt(scene.dim)), MOVE * dx / speed if speed > 0 else math.inf)
 

@@ -34,13 +34,20 @@ def cloud(simulation, law, seeds):
         count = len(body_seeds.id)
         reals = np.zeros((count, layout.size), simulation.real)
         reals[:, layout.where("v")] = body.velocity
-        reals[:, layout.state_first :] = layout.rest_state()
+        reals[:, layout.state_first :] = state_at_rest(simulation, law, number)
         if body.pressure == "hydrostatic":
             reals[:, layout.state_first :] = hydrostatic_state(simulation, law, number, body_seeds)
         seeded = Cloud(reals, body_seeds.node, np.full(count, number, np.int32), body_seeds.id)
         seeded.places[:, : simulation.dim] = simulation.needs.places.from_cells(body_seeds.offset)
         parts.append(seeded)
     return Cloud.join([Cloud.empty(layout.size, simulation.dim, simulation.real), *parts])
+
+
+def state_at_rest(simulation, law, number):
+    """(state,) of an undeformed particle of a body."""
+    needs, identity = simulation.needs, tuple(map(float, np.eye(simulation.dim).ravel()))
+    target = targets.plain(la=needs.tensors, **dict(needs.laws[law].choices))
+    return target.compile(needs.laws[law].module.state_at)(identity, tuple(simulation.tables[law][number][PARAMETERS:]))
 
 
 def hydrostatic_state(simulation, law, number, seeds):

@@ -50,8 +50,8 @@ from pmpm.kernels.loops import (
     load_parameters,
     place_at,
 )
+from pmpm.physics import stability, transfer
 from pmpm.physics import tensors2 as la
-from pmpm.physics import transfer
 from pmpm.physics.bspline import slopes_quadratic as slopes
 from pmpm.physics.bspline import weights_quadratic as weights
 from pmpm.physics.materials import neo_hookean as law
@@ -62,7 +62,7 @@ DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 NODES, INERTIA = 3, 4.0
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 MLS = False
-PERIODIC_MIDDLE = PERIODIC_ROW = False
+VISCOUS = PERIODIC_MIDDLE = PERIODIC_ROW = False
 FIELDS, V_FIELD, C_FIELD, STATE_FIELD = 12, 2, 4, 8
 OFFSETS = (-1.0, 0.0, 1.0)
 
@@ -102,19 +102,41 @@ def fields_4(a, o):
     return fields_2(a, o) + fields_2(a, o + 32)
 
 
+def fields_5(a, o):
+    return fields_4(a, o) + fields_1(a, o + 64)
+
+
 def fields_6(a, o):
-    return fields_3(a, o) + fields_3(a, o + 48)
+    return fields_4(a, o) + fields_2(a, o + 64)
 
 
 def fields_7(a, o):
-    return fields_6(a, o) + fields_1(a, o + 96)
+    return fields_4(a, o) + fields_3(a, o + 64)
+
+
+def fields_8(a, o):
+    return fields_4(a, o) + fields_4(a, o + 64)
 
 
 def fields_9(a, o):
-    return fields_6(a, o) + fields_3(a, o + 96)
+    return fields_8(a, o) + fields_1(a, o + 128)
 
 
-FIELD_TUPLES = {1: fields_1, 2: fields_2, 3: fields_3, 4: fields_4, 6: fields_6, 7: fields_7, 9: fields_9}
+def fields_10(a, o):
+    return fields_8(a, o) + fields_2(a, o + 128)
+
+
+def fields_11(a, o):
+    return fields_8(a, o) + fields_3(a, o + 128)
+
+
+def fields_12(a, o):
+    return fields_8(a, o) + fields_4(a, o + 128)
+
+
+# By how many there are: a loop would have to make a tuple of unknown length.
+FIELD_TUPLES = dict(enumerate((fields_1, fields_2, fields_3, fields_4, fields_5, fields_6, fields_7, fields_8, fields_9,
+                               fields_10, fields_11, fields_12), 1))  # fmt: skip
 load_vector, load_matrix, load_state = fields_2, fields_4, fields_4
 
 
@@ -357,8 +379,11 @@ store_column, store_constant = store_column_2, store_constant_2
 
 def momentum_block(reals, o, table, mass, volume0, params, dt, dx, inv_dx):
     """What the 16 particles of a block give, as quads of one vector per particle."""
-    tau = law.kirchhoff_stress(load_state(reals, o + 16 * STATE_FIELD), params)
-    M = transfer.affine_momentum(mass, load_matrix(reals, o + 16 * C_FIELD), volume0 * dt, tau, dx, inv_dx)
+    state, C = load_state(reals, o + 16 * STATE_FIELD), load_matrix(reals, o + 16 * C_FIELD)
+    tau = law.kirchhoff_stress(state, params)
+    if VISCOUS:
+        tau = la.add_symmetric(tau, law.viscous_stress(state, C, params))
+    M = transfer.affine_momentum(mass, C, volume0 * dt, tau, dx, inv_dx)
     store_column(table, QUAD_SLAB, M, SLAB)
     store_column(table, QUAD_ROW, M, ROW)
     if DIMENSIONS == 3:
@@ -598,7 +623,7 @@ def g2p(
                     G = la.scale(dt, C)
                 else:
                     G = la.scale(dt * inv_dx, matrix_of(load_transposed(scratch, GRADIENTS)))
-                state = law.advance(load_state(values, o + 16 * STATE_FIELD), G, params)
+                state = law.advance(load_state(values, o + 16 * STATE_FIELD), G, dt, params)
                 put(values, o + 16 * V_FIELD, v)
                 put(values, o + 16 * C_FIELD, C)
                 put(values, o + 16 * STATE_FIELD, state)
@@ -638,7 +663,9 @@ def g2p(
                 if DIMENSIONS == 3:
                     store(where_from, o + 16 * MIDDLE, middle)
                 speeds = max(speeds, where(live, la.dot(v, v), real(0.0)))
-                waves = max(waves, where(live, law.wave_speed_squared(state, params, density), real(0.0)))
+                waves = max(
+                    waves, where(live, stability.signal_speed_squared(state, params, density, inv_dx), real(0.0))
+                )
                 drifts = max(drifts, far)
                 block += 1
                 left -= 16

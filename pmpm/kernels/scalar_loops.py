@@ -22,8 +22,8 @@ from pmpm.kernels.loops import (
     momentum_at,
     place_at,
 )
+from pmpm.physics import stability, transfer
 from pmpm.physics import tensors2 as la
-from pmpm.physics import transfer
 from pmpm.physics.bspline import slopes_quadratic as slopes
 from pmpm.physics.bspline import weights_quadratic as weights
 from pmpm.physics.materials import neo_hookean as law
@@ -35,7 +35,7 @@ NODES, MIDDLE_NODES, INERTIA = 3, 1, 4.0
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
 MLS = False
-PERIODIC_MIDDLE = PERIODIC_ROW = False
+VISCOUS = PERIODIC_MIDDLE = PERIODIC_ROW = False
 V_FIELD, C_FIELD, STATE_FIELD = 2, 4, 8
 
 
@@ -58,19 +58,41 @@ def load_4(a, b, f, lane):
     return load_2(a, b, f, lane) + load_2(a, b, f + 2, lane)
 
 
+def load_5(a, b, f, lane):
+    return load_4(a, b, f, lane) + load_1(a, b, f + 4, lane)
+
+
 def load_6(a, b, f, lane):
-    return load_3(a, b, f, lane) + load_3(a, b, f + 3, lane)
+    return load_4(a, b, f, lane) + load_2(a, b, f + 4, lane)
 
 
 def load_7(a, b, f, lane):
-    return load_6(a, b, f, lane) + load_1(a, b, f + 6, lane)
+    return load_4(a, b, f, lane) + load_3(a, b, f + 4, lane)
+
+
+def load_8(a, b, f, lane):
+    return load_4(a, b, f, lane) + load_4(a, b, f + 4, lane)
 
 
 def load_9(a, b, f, lane):
-    return load_6(a, b, f, lane) + load_3(a, b, f + 6, lane)
+    return load_8(a, b, f, lane) + load_1(a, b, f + 8, lane)
 
 
-FIELD_TUPLES = {1: load_1, 2: load_2, 3: load_3, 4: load_4, 6: load_6, 7: load_7, 9: load_9}
+def load_10(a, b, f, lane):
+    return load_8(a, b, f, lane) + load_2(a, b, f + 8, lane)
+
+
+def load_11(a, b, f, lane):
+    return load_8(a, b, f, lane) + load_3(a, b, f + 8, lane)
+
+
+def load_12(a, b, f, lane):
+    return load_8(a, b, f, lane) + load_4(a, b, f + 8, lane)
+
+
+# By how many there are: a loop would have to make a tuple of unknown length.
+FIELD_TUPLES = dict(enumerate((load_1, load_2, load_3, load_4, load_5, load_6, load_7, load_8, load_9, load_10, load_11,
+                               load_12), 1))  # fmt: skip
 load_vector, load_matrix, load_state = load_2, load_4, load_4
 
 
@@ -138,8 +160,11 @@ def p2g(
                 place = load_vector(places, block, 0, lane)
                 g = along_axes(offset_of, place)
                 w, dw = along_axes(weights, g), along_axes(slopes, g)
-                tau = law.kirchhoff_stress(load_state(reals, block, STATE_FIELD, lane), params)
+                state = load_state(reals, block, STATE_FIELD, lane)
+                tau = law.kirchhoff_stress(state, params)
                 C = load_matrix(reals, block, C_FIELD, lane)
+                if VISCOUS:
+                    tau = la.add_symmetric(tau, law.viscous_stress(state, C, params))
                 M = transfer.affine_momentum(mass, C, volume0 * dt, tau, dx, inv_dx)
                 momentum = la.scale_vector(mass, load_vector(reals, block, V_FIELD, lane))
                 i0 = centre_of(place[SLAB]) + PADDING
@@ -205,7 +230,7 @@ def g2p(
                                 L = transfer.gather_gradient(L, v_node, slope)
                 C = la.scale(INERTIA * inv_dx, B)
                 G = la.scale(dt, C) if MLS else la.scale(dt * inv_dx, L)
-                state = law.advance(load_state(reals, block, STATE_FIELD, lane), G, params)
+                state = law.advance(load_state(reals, block, STATE_FIELD, lane), G, dt, params)
 
                 step = la.scale_vector(dt * inv_dx, v)
                 cause = 0
@@ -241,7 +266,7 @@ def g2p(
                 store(reals, block, C_FIELD, lane, C)
                 store(reals, block, STATE_FIELD, lane, state)
                 speed_squared = max(speed_squared, la.dot(v, v))
-                wave_squared = max(wave_squared, law.wave_speed_squared(state, params, density))
+                wave_squared = max(wave_squared, stability.signal_speed_squared(state, params, density, inv_dx))
                 drift = max(drift, far)
     restore_denormals(before)
     return speed_squared, wave_squared, real(drift) * UNIT

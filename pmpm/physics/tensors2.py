@@ -98,6 +98,10 @@ def where_symmetric(condition, A, B):
     return (where(condition, A[0], B[0]), where(condition, A[1], B[1]), where(condition, A[2], B[2]))
 
 
+def add_symmetric(A, B):
+    return (A[0] + B[0], A[1] + B[1], A[2] + B[2])
+
+
 def product_commuting(A, B):
     """A B for symmetric matrices that commute, so that the product is symmetric too."""
     return (A[0] * B[0] + A[1] * B[1], A[0] * B[1] + A[1] * B[2], A[1] * B[1] + A[2] * B[2])
@@ -185,3 +189,56 @@ def symmetric_part(state):
 def after_symmetric(state):
     """The scalar that follows a symmetric tensor in a particle's state."""
     return state[3]
+
+
+# A solid tensor is a symmetric one with all of its diagonal: in 2-D (xx, xy, yy, zz), in 3-D the same as symmetric.
+
+
+def solid_part(state):
+    """The solid tensor that a particle's state begins with."""
+    return (state[0], state[1], state[2], state[3])
+
+
+def after_solid(state):
+    """The numbers that follow a solid tensor in a particle's state."""
+    return state[4:]
+
+
+def in_plane(E):
+    """The part of a solid tensor along the axes of the scene."""
+    return (E[0], E[1], E[2])
+
+
+def out_of_plane(E):
+    """The last entry of the diagonal: along z, in 2-D out of the plane."""
+    return E[3]
+
+
+def with_out_of_plane(S, value):
+    """A solid tensor: a symmetric S and, in 2-D, its entry out of the plane."""
+    return S + (value,)
+
+
+def trace_solid(E):
+    return E[0] + E[2] + E[3]
+
+
+def norm_solid(E):
+    """Frobenius norm of a solid tensor."""
+    return sqrt(E[0] * E[0] + E[2] * E[2] + E[3] * E[3] + 2.0 * (E[1] * E[1]))
+
+
+def scale_plus_diagonal_solid(a, E, d):
+    """a E + d I for a solid E."""
+    return (a * E[0] + d, a * E[1], a * E[2] + d, a * E[3] + d)
+
+
+def eigen_solid(E):
+    """(Q, (s, s, s)) of a solid tensor: `eigen_symmetric` in the plane; in 2-D the third value lies along z."""
+    Q, s = eigen_symmetric(E)
+    return Q, s + (E[3],)
+
+
+def spectral_solid(Q, t):
+    """The solid tensor with the principal values t along the axes that `eigen_solid` found."""
+    return spectral(Q, t) + (t[2],)

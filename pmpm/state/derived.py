@@ -6,6 +6,7 @@ Computed by numpy from the same physics source as the kernels (targets.arrays): 
 import numpy as np
 
 from pmpm.kernels import targets
+from pmpm.physics import stability
 
 MASS, VOLUME0, DENSITY, PARAMETERS = 0, 1, 2, 3  # columns of a law's table, one row per body
 
@@ -16,7 +17,7 @@ class DerivedFields:
     def __init__(self, population, law, layout, tensors, geometry, table, real):
         self.population, self.law, self.layout, self.la = population, law, layout, tensors
         self.geometry, self.real = geometry, real
-        self.target = targets.arrays(real, la=tensors, **dict(law.choices))
+        self.target = targets.arrays(real, la=tensors, law=law.module, **dict(law.choices))
         self.row_values = table.astype(real)[population.per_particle(population.block_row)]
         state = population.rows(slice(layout.state_first, layout.size)).astype(real)
         self.state = tuple(np.ascontiguousarray(column) for column in state.T)
@@ -24,8 +25,12 @@ class DerivedFields:
 
     def evaluate(self, name, *arguments):
         """A function of the law over all particles."""
+        return self.call(getattr(self.law.module, name), *arguments)
+
+    def call(self, function, *arguments):
+        """A function of the physics over all particles."""
         with np.errstate(all="ignore"):
-            return self.target.compile(getattr(self.law.module, name))(self.state, *arguments)
+            return self.target.compile(function)(self.state, *arguments)
 
     def field(self, name):
         """Rows of a common field or state variable as stored; None if the law keeps no such field."""
@@ -82,7 +87,9 @@ class DerivedFields:
         return full
 
     def wave_speed_squared(self):
-        return self.evaluate("wave_speed_squared", self.params, self.row_values[:, DENSITY])
+        """Square of the speed that bounds the step; see physics.stability."""
+        return self.call(stability.signal_speed_squared, self.params, self.row_values[:, DENSITY],
+                         self.real(1.0 / self.geometry.cell_size))  # fmt: skip
 
     def totals(self, gravity):
         """dict of (n,) contributions to the totals of `Simulation.measure`, float64."""

@@ -12,12 +12,13 @@ KIND_SIZE = {
     "vector": lambda dim: dim,
     "tensor": lambda dim: dim * dim,
     "symmetric": lambda dim: dim * (dim + 1) // 2,
+    "solid": lambda dim: 4 if dim == 2 else 6,
 }
 
 
 @dataclass(frozen=True)
 class Field:
-    """One quantity of a particle: `kind` scalar, vector, tensor or symmetric; `rest` as in StateField."""
+    """One quantity of a particle: `kind` scalar, vector, tensor, symmetric or solid; `rest` as in StateField."""
 
     name: str
     kind: str
@@ -35,6 +36,8 @@ class Field:
             values[:: dim + 1] = self.rest
         elif self.kind == "symmetric":
             values[list(diagonal(dim))] = self.rest
+        elif self.kind == "solid":
+            values[list((0, 2, 3) if dim == 2 else (0, 3, 5))] = self.rest
         else:
             values[:] = self.rest
         return values

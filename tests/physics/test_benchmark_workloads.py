@@ -35,7 +35,7 @@ def test_sand_starts_where_the_return_map_changes_nothing():
     params = drucker_prager.parameters(KEYS, 3)
     assert 0.2 < np.mean(start.v_c > 0.0) < 0.8  # both at the tip and on the cone
     for strain, v_c in zip(start.strain, start.v_c, strict=True):
-        *advanced, kept = advance((*flat_symmetric(strain), float(v_c)), (0.0,) * 9, params)
+        *advanced, kept = advance((*flat_symmetric(strain), float(v_c)), (0.0,) * 9, 1.0, params)
         assert symmetric(tuple(advanced)) == pytest.approx(strain, abs=1e-14)
         assert kept == pytest.approx(v_c, abs=1e-14)
 

@@ -50,7 +50,7 @@ class Law:
         return self("energy", self.state(F), self.params)
 
     def advance(self, state, G):
-        return self("advance", state, flat(G), self.params)
+        return self("advance", state, flat(G), 1.0, self.params)
 
 
 def deformation(random, dim, largest):

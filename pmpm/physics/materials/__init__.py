@@ -2,11 +2,14 @@
 
 - KEYS, `conflicts(keys)`, `parameters(keys, dim)`: what a scene sets, and the numbers the formulas use;
 - STATE, `state_fields(keys)`, `choices(keys)`: what a particle carries, and compile-time constants of the formulas;
-- `kirchhoff_stress(state, params)`, `advance(state, G, params)`, `valid(state)`, `wave_speed_squared(state, params, density)`,
-  `energy(state, params)`, `volume_ratio(state)`, `out_of_plane_stress(state, params)`: the physics of one particle.
+- `state_at(F, params)`: the state of a fresh particle that is deformed elastically by F, the identity as a rule;
+- `kirchhoff_stress(state, params)`, `advance(state, G, dt, params)`, `valid(state)`, `energy(state, params)`,
+  `wave_speed_squared(state, params, density)`, `volume_ratio(state)`, `out_of_plane_stress(state, params)`: the physics of one
+  particle;
+- with the choice VISCOUS, `viscous_stress(state, L, params)` and `kinematic_viscosity(state, params, density)` besides.
 
-`state` is the flat tuple of STATE's numbers; G = dt grad v, row by row; stresses are in Pa, energies in J/m3 of the
-undeformed volume.
+`state` is the flat tuple of STATE's numbers; G = dt grad v and L = grad v, row by row; stresses are in Pa, energies in J/m3
+of the undeformed volume, viscosities in m2/s.
 """
 
 from pmpm.physics.materials import drucker_prager, fluid, neo_hookean, python_law

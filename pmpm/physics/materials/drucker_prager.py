@@ -9,9 +9,10 @@ Sources: Klar et al., ACM Trans. Graph. 35 (2016) 103; Tampubolon et al., ACM Tr
 
 import math
 
+from pmpm.physics import hencky
 from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, Key, StateField, lame
-from pmpm.physics.words import ATANH_OVER_ROOT, EXPM1_OF_TWICE, NAN, TINY, any_of, expm1, log1p, where
+from pmpm.physics.words import NAN, TINY, expm1, where
 
 SOURCE = "Klar et al. (2016), ACM Trans. Graph. 35, 103; Tampubolon et al. (2017), 36, 105"
 KEYS = (
@@ -35,10 +36,6 @@ STATE = (
     StateField("v_c", "scalar", "-", "logarithmic volume gained at the tip and not yet undone"),
 )
 VOLUME_CORRECTION = True
-SWITCH = 0.5  # the power series of `words` have terms for arguments up to here
-LARGEST_H = 4.0  # rows of b - I up to SWITCH in X sum up to 2 sqrt(3) at most; X means nothing where b is huge
-SMALLEST = -0.9999999  # b - 1 below it only keeps the logarithm finite until `valid` stops the run
-LARGEST = 10.0  # no sand is strained elastically by e^10
 
 
 def conflicts(keys):
@@ -76,6 +73,13 @@ def parameters(keys, dim):
     return mu, lam, alpha * (dim * lam + 2.0 * mu) / (2.0 * mu)
 
 
+def state_at(F, params):
+    E = hencky.strain_of(F)
+    if VOLUME_CORRECTION:
+        return E + (la.det(F) - la.det(F),)
+    return E
+
+
 def kirchhoff_stress(state, params):
     mu, lam, slope = params
     E = la.symmetric_part(state)
@@ -87,50 +91,9 @@ def out_of_plane_stress(state, params):
     return lam * la.trace_symmetric(la.symmetric_part(state))
 
 
-def twice_expm1(e):
-    """exp(2 e) - 1."""
-    return expm1(2.0 * e)
-
-
-def half_log1p(h):
-    """1/2 ln(1 + h)."""
-    return 0.5 * log1p(max(h, SMALLEST))
-
-
-def trial_strain(E, G):
-    """1/2 ln((I + G) exp(2 E) (I + G)^T), by way of b - I, so that small strains keep their digits.
-
-    By power series, in 3-D a tenth of the work of eigenvalues, where no row of E and of X, the hyperbolic tangent of the
-    result, sums up to more than SWITCH: rows, because they bound eigenvalues and cost no root. Both ways agree there to
-    10 eps. A nan compares as near, and the series keep it.
-    """
-    H = la.congruence(G, la.polynomial(EXPM1_OF_TWICE, E))
-    X = la.product_commuting(H, la.inverse_symmetric(la.scale_plus_diagonal(1.0, H, 2.0)))
-    trial = atanh(X)
-    far = (la.row_sum_bound(E) > SWITCH) | (la.row_sum_bound(H) > LARGEST_H) | (la.row_sum_bound(X) > SWITCH)
-    if any_of(far):
-        trial = la.where_symmetric(far, trial_strain_by_eigenvalues(E, G), trial)
-    return trial
-
-
-def atanh(X):
-    """X + X^3/3 + X^5/5 + ... of a symmetric X: 1/2 ln b, where X = (b - I) (b + I)^-1.
-
-    N. J. Higham, Functions of Matrices (2008), chapter 11.
-    """
-    return la.product_commuting(X, la.polynomial(ATANH_OVER_ROOT, la.product_commuting(X, X)))
-
-
-def trial_strain_by_eigenvalues(E, G):
-    """The trial strain at any size: the dear way."""
-    Q, e = la.eigen_symmetric(E)
-    Q, h = la.eigen_symmetric(la.congruence(G, la.spectral(Q, la.each(twice_expm1, e))))
-    return la.spectral(Q, la.each(half_log1p, h))
-
-
-def advance(state, G, params):
+def advance(state, G, dt, params):
     mu, lam, slope = params
-    E = trial_strain(la.symmetric_part(state), G)
+    E = hencky.trial_strain(la.symmetric_part(state), G)
     trace = la.trace_symmetric(E)
     D = la.scale_plus_diagonal(1.0, E, -trace / la.DIM)
     if VOLUME_CORRECTION:
@@ -145,7 +108,7 @@ def advance(state, G, params):
 
 
 def valid(state):
-    return la.norm_symmetric(la.symmetric_part(state)) < LARGEST
+    return la.norm_symmetric(la.symmetric_part(state)) < hencky.LARGEST
 
 
 def volume_ratio(state):

@@ -70,6 +70,10 @@ def hydrostatic_state(depth, gravity, params, density):
     return (J,)
 
 
+def state_at(F, params):
+    return (la.det(F),)
+
+
 def kirchhoff_stress(state, params):
     (J,) = state
     return la.isotropic(-J * pressure(J, params))
@@ -80,7 +84,7 @@ def out_of_plane_stress(state, params):
     return -J * pressure(J, params)
 
 
-def advance(state, G, params):
+def advance(state, G, dt, params):
     (J,) = state
     return (J + J * la.trace(G),)
 

@@ -26,8 +26,8 @@ class Key:
 
 @dataclass(frozen=True)
 class StateField:
-    """One quantity a law keeps on its particles. `kind`: scalar, tensor (dim x dim) or symmetric; `rest`: its undeformed
-    value, per diagonal entry for tensors (off-diagonal entries rest at zero)."""
+    """One quantity a law keeps on its particles. `kind`: scalar, tensor (dim x dim), symmetric, or solid (symmetric with its
+    out-of-plane entry in 2-D); `rest`: its undeformed value, per diagonal entry for tensors (others rest at zero)."""
 
     name: str
     kind: str

@@ -23,7 +23,12 @@ SOUND_SPEED = Key(
 KEYS = (DENSITY, SOUND_SPEED)  # and the parameters of the function
 STATE = neo_hookean.STATE
 SMALLEST = neo_hookean.SMALLEST
-advance, valid, volume_ratio = neo_hookean.advance, neo_hookean.valid, neo_hookean.volume_ratio
+state_at, advance, valid, volume_ratio = (
+    neo_hookean.state_at,
+    neo_hookean.advance,
+    neo_hookean.valid,
+    neo_hookean.volume_ratio,
+)
 user_stress = neo_hookean.kirchhoff_stress  # replaced by the function of the scene
 
 
