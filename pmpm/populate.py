@@ -24,7 +24,26 @@ def count_per_layer(simulation):
     return counts.sum(axis=0)
 
 
-def cloud(simulation, law, seeds):
+def load_accelerations(simulation, seeds):
+    """[(n, dim) m/s2] by the loads, per body for its seeds. Collective. Raises SceneError for a load on nothing."""
+    scene, geometry = simulation.scene, simulation.geometry
+    found = [np.zeros((len(body_seeds.id), geometry.dim)) for body_seeds in seeds]
+    volumes = [geometry.cell_size**geometry.dim / body.particles_per_cell for body in scene.bodies]
+    for number, load in enumerate(scene.loads):
+        inside = [load.shape.contains((s.node + s.offset) * geometry.cell_size) for s in seeds]
+        counts = simulation.comm.sum(np.array([np.count_nonzero(here) for here in inside]))
+        volume = float(counts @ np.array(volumes))
+        if volume == 0.0:
+            raise SceneError(f"scene: loads[{number}].shape holds no particle at the start")
+        for body, here, total in zip(scene.bodies, inside, found, strict=True):
+            if load.force is None:
+                total[here] += load.acceleration
+            else:
+                total[here] += np.array(load.force) / (volume * scene.materials[body.material].parameters["density"])
+    return found
+
+
+def cloud(simulation, law, seeds, loads):
     """The particles of one law, at rest state or in hydrostatic equilibrium, as rows."""
     layout, parts = simulation.layouts[law], []
     for number, (body, body_seeds) in enumerate(zip(simulation.scene.bodies, seeds, strict=True)):
@@ -39,6 +58,10 @@ def cloud(simulation, law, seeds):
             reals[:, layout.state_first :] = hydrostatic_state(simulation, law, number, body_seeds)
         seeded = Cloud(reals, body_seeds.node, np.full(count, number, np.int32), body_seeds.id)
         seeded.places[:, : simulation.dim] = simulation.needs.places.from_cells(body_seeds.offset)
+        if layout.where("load"):
+            reals[:, layout.where("load")] = loads[number]
+        if layout.where("X"):
+            reals[:, layout.where("X")] = (body_seeds.node + body_seeds.offset) * simulation.geometry.cell_size
         parts.append(seeded)
     return Cloud.join([Cloud.empty(layout.size, simulation.dim, simulation.real), *parts])
 

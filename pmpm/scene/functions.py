@@ -44,6 +44,15 @@ def check_function(value: Any) -> None:
         raise Problems(unfit_problem(value, complaint))
 
 
+def check_compilable(value: Any, arguments: tuple[str, ...]) -> None:
+    """Raise Problems unless `value` is a function of just these arguments that can be compiled."""
+    complaint = next(complaints(value), None)
+    if not complaint and tuple(inspect.signature(value).parameters) != arguments:
+        complaint = f"must take ({', '.join(arguments)}), and nothing else"
+    if complaint:
+        raise Problems(Problem((), f"{complaint}; {RULES}", value))
+
+
 def unfit_problem(value: Any, complaint: object) -> Problem:
     return Problem(("model",), f"{complaint}; {RULES}", value)
 
@@ -192,6 +201,39 @@ def stress(function: FunctionType, dim: int, numbers: tuple[float, ...], F: np.n
         if not math.isfinite(value):
             raise Unfit(f"must return finite numbers, not {value}, {place}")
     return tau
+
+
+def check_acceleration(function: FunctionType, dim: int, middle: np.ndarray) -> None:
+    """Raise Unfit unless b(x, X, t) gives `dim` finite reals (m/s2) around `middle`, to one particle and to many alike."""
+    places = middle + np.array([[0.0], [0.01], [-0.02]]) * middle
+    one_by_one = [acceleration(function, dim, tuple(map(float, x))) for x in places]
+    x, t = tuple(column.copy().view(Watched) for column in places.T), 0.0
+    try:
+        with np.errstate(all="ignore"):
+            found = targets.arrays(np.float64, la=tensors_of(dim)).compile(function)(x, x, t)
+    except Unfit:
+        raise
+    except Exception as error:
+        raise Unfit(f"fails for many particles at once: {type(error).__name__}: {error}") from None
+    together = np.stack([np.broadcast_to(np.asarray(entry), len(places)) for entry in found], axis=-1)
+    if not np.allclose(one_by_one, together, rtol=1e-9, atol=1e-9 * np.abs(one_by_one).max()):
+        raise Unfit("gives other accelerations to many particles at once than to one of them")
+
+
+def acceleration(function: FunctionType, dim: int, x: tuple[float, ...]) -> tuple[float, ...]:
+    """Return b(x, x, 0). Raises Unfit unless that is an acceleration."""
+    place = f"at x = X = ({', '.join(f'{entry:g}' for entry in x)}), t = 0"
+    try:
+        with np.errstate(all="ignore"):
+            found = targets.plain(la=tensors_of(dim)).compile(function)(x, x, 0.0)
+    except Exception as error:
+        raise Unfit(f"fails in {dim}-D {place}: {type(error).__name__}: {error}") from None
+    if not isinstance(found, tuple) or len(found) != dim:
+        raise Unfit(f"must return a tuple of {dim} accelerations (m/s2)")
+    for value in found:
+        if not isinstance(value, float) or not math.isfinite(value):
+            raise Unfit(f"must return finite reals such as 0.0, not {value}, {place}")
+    return found
 
 
 def stresses(function: FunctionType, dim: int, numbers: tuple[float, ...], tried: np.ndarray) -> np.ndarray:

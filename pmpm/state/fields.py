@@ -46,7 +46,12 @@ class Field:
 COMMON = (
     Field("x", "vector", "cells", "position, as a place (see kernels.places); files and users see metres"),
     Field("v", "vector", "m/s", "velocity"),
-    Field("C", "tensor", "1/s", "affine velocity field of APIC"),
+)
+
+OPTIONAL = (
+    Field("C", "tensor", "1/s", "affine velocity field of APIC, or the velocity gradient that viscous stress follows"),
+    Field("X", "vector", "m", "reference position, which a body force asks for"),
+    Field("load", "vector", "m/s2", "acceleration by the loads of the scene"),
 )
 
 OUTPUT = (
@@ -70,13 +75,19 @@ def diagonal(dim):
 class Layout:
     """Where each field of one law's particles begins in a block, and how many reals a particle holds."""
 
-    fields: tuple[Field, ...]
+    common: tuple[Field, ...]
+    state: tuple[Field, ...]
     dim: int
 
     @classmethod
-    def of(cls, law, dim):
+    def of(cls, law, dim, carried=()):
+        """`carried`: names of OPTIONAL fields."""
         own = tuple(Field(f.name, f.kind, f.unit, f.meaning, f.rest) for f in law.fields)
-        return cls(COMMON + own, dim)
+        return cls(COMMON + tuple(field for field in OPTIONAL if field.name in carried), own, dim)
+
+    @property
+    def fields(self):
+        return self.common + self.state
 
     @property
     def size(self):
@@ -84,7 +95,7 @@ class Layout:
 
     @property
     def state_first(self):
-        return sum(field.size(self.dim) for field in COMMON)
+        return sum(field.size(self.dim) for field in self.common)
 
     def where(self, name):
         """slice of the reals that hold field `name`, or None if the law keeps no such field."""
@@ -97,4 +108,4 @@ class Layout:
 
     def rest_state(self):
         """Flat undeformed state of the law."""
-        return np.concatenate([field.rest_values(self.dim) for field in self.fields[len(COMMON) :]])
+        return np.concatenate([field.rest_values(self.dim) for field in self.state])
