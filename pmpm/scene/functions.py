@@ -21,7 +21,7 @@ from pmpm.scene.values import finite
 STRAIN = 1e-5  # of the finite differences around rest: about 1e-10 of error from the step and from rounding
 WITHIN = 1e-4  # how far a given wave speed may miss the one found that way
 TRIED = 0.01  # strain at which one particle and arrays of them are compared
-WORDS = "exp, expm1, log, log1p, sqrt, abs, min, max, where"
+WORDS = "exp, expm1, log, log1p, sin, cos, sqrt, abs, min, max, where"
 RULES = "see 'A law of your own' in docs/scene.md"
 
 
