@@ -16,7 +16,7 @@ from pmpm.scene.materials import AnyMaterial, Material
 from pmpm.scene.messages import Problem, Problems, known_text, scene_error, value_text
 from pmpm.scene.part import Part
 from pmpm.scene.shapes import AXES, Shape, wrong_length
-from pmpm.scene.values import check_word, choice, names, number, tables, text, vector, whole
+from pmpm.scene.values import check_word, choice, flag, names, number, tables, text, vector, whole
 
 WALLS = ("stick", "slip", "separate", "friction", "free")
 PLANNED_WALLS = ("open",)
@@ -174,6 +174,11 @@ class Method(Part):
 
     damping: Annotated[float, number("1/s", at_least=0.0)] = Field(
         default=0.0, description="rate at which all motion dies away, to come to rest in quasi-static scenes (1/s)"
+    )
+
+    f_bar: Annotated[bool, flag()] = Field(
+        default=False,
+        description="average volume changes over nodes, so that solids near nu = 0.5 do not lock",
     )
 
     @model_validator(mode="after")
