@@ -338,9 +338,9 @@ class Scene(Part):
         """Check what depends on more than one table and fill in what depends on dimension and duration."""
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_body(body, index)]
         problems += self.wrong_fields()
-        for key, parts in (("loads", self.loads), ("motions", self.motions)):
-            for index, part in enumerate(parts):
-                problems += [Problem((key, index, *p.path), p.text, p.value) for p in part.misfits(self.dim)]
+        forced = [(("loads", n), load.misfits(self.dim)) for n, load in enumerate(self.loads)]
+        forced += [(("motions", n), motion.misfits(self.dim)) for n, motion in enumerate(self.motions)]
+        problems += [Problem((*path, *p.path), p.text, p.value) for path, misfits in forced for p in misfits]
         if self.body_force is not None:
             problems += forcing.wrong_body_force(self.body_force, self.dim, self.domain.size)
         for name, material in self.materials.items():
