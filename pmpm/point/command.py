@@ -166,7 +166,7 @@ def chosen_course(options, typical):
                 raise SceneError(
                     f"--{name.replace('_', '-')}: is not for --increments, whose file says all of the path"
                 )
-        return completed(given)
+        return checked_for_all(completed(given))
     if "path" not in given:
         given = typical | given
     course = completed(given)
@@ -176,12 +176,10 @@ def chosen_course(options, typical):
     check("cycles", course["cycles"], f"a whole number from 1 to {MOST_CYCLES}", 0 <= course["cycles"] <= MOST_CYCLES)
     if options.cycles is not None:
         check("cycles", options.cycles, f"a whole number from 1 to {MOST_CYCLES}", options.cycles >= 1)
-    check("rate", course["rate"], "a number > 0 1/s", 0.0 < course["rate"] < math.inf)
-    check("rows", course["rows"], "a whole number >= 2", course["rows"] >= 2)
     if course["two_way"] and not course["cycles"]:
         raise SceneError("--two-way: is for --cycles")
-    check_pressure(course, path)
-    return course
+    check_held_pressure(course, path)
+    return checked_for_all(course)
 
 
 def check_word(name):
@@ -194,10 +192,17 @@ def check(name, value, allowed, is_allowed):
         raise SceneError(f"--{name} {value:g}: must be {allowed}")
 
 
-def check_pressure(course, path):
+def checked_for_all(course):
+    """The course, if what holds for all paths holds."""
+    check("rate", course["rate"], "a number > 0 1/s", 0.0 < course["rate"] < math.inf)
+    check("rows", course["rows"], "a whole number >= 2", course["rows"] >= 2)
+    if course["pressure"] is not None:
+        check("pressure", course["pressure"], "a number >= 0 Pa", 0.0 <= course["pressure"] < math.inf)
+    return course
+
+
+def check_held_pressure(course, path):
     pressure, name = course["pressure"], course["path"]
-    if pressure is not None and not 0.0 <= pressure < math.inf:
-        raise SceneError(f"--pressure {pressure:g}: must be a number >= 0 Pa")
     if path.pressure == REQUIRED and not pressure:
         raise SceneError(f"--path {name}: needs --pressure, the pressure that is held, a number > 0 Pa")
     if path.pressure == NONE and pressure:

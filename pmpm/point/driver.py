@@ -202,7 +202,7 @@ def find_root(residual, guess, size, tolerance, coarse):
         guess = 0.0
         start = residual(guess)
     if math.isnan(start):
-        raise Unreachable("the state is not valid whatever the free strain")
+        raise Unreachable("the state is not valid where the search for the free strain begins")
     if abs(start) <= tolerance:
         return guess
     seen = [start]
