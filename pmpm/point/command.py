@@ -38,7 +38,8 @@ def point(options):
     else:
         lines += ["", report.table_text(record, course["rows"])]
     if options.plot and record.rows:
-        report.draw(record, path, f"{model}: {course['path'].replace('_', ' ')}", options.plot)
+        name = "increments" if path is None else course["path"].replace("_", " ")
+        report.draw(record, path, f"{model}: {name}", options.plot)
     return "\n".join(lines), record.failure
 
 
@@ -253,9 +254,14 @@ def entry(file, number, name, text):
 
 
 def headline(options, model, keys, dim):
-    given = ", ".join(f"{name} = {value_text(value)}" for name, value in keys.items() if value is not None)
+    given = ", ".join(f"{name} = {short_text(value)}" for name, value in keys.items() if value is not None)
     example = EXAMPLES.get(model) if options.what == model and not options.set else None
     return f"{model}{f' ({example.name})' if example else ''}, {dim}-D{' plane strain' if dim == 2 else ''}: {given}"
+
+
+def short_text(value):
+    """A value as TOML, numbers without needless zeros."""
+    return f"{value:g}" if isinstance(value, float) else value_text(value)
 
 
 def course_text(course, dim):
@@ -264,9 +270,10 @@ def course_text(course, dim):
         text = f"increments of {course['increments']}"
     else:
         path = PATHS[course["path"]]
-        text = f"{course['path']} ({path.meaning}), strain {course['strain']:g} in {course['steps']} steps"
+        text = f"{course['path']}: {path.meaning}; to {course['strain']:g} in {course['steps']} steps"
         if course["cycles"]:
-            text += f", {course['cycles']} cycles{' both ways' if course['two_way'] else ''}"
+            plural = "s" if course["cycles"] > 1 else ""
+            text += f", {course['cycles']} cycle{plural}{' both ways' if course['two_way'] else ''}"
     pressure = course["pressure"]
     if pressure:
         text += f", first pressure {pressure:g} Pa{' (mean of xx and yy)' if dim == 2 else ''}"

@@ -173,7 +173,8 @@ def state_names(layout):
     first, names = layout.state_first, []
     for one in layout.fields:
         if layout.where(one.name).start >= first:
-            names += [f"{one.name}_{entry}".rstrip("_") for entry in entries[one.kind]]
+            numbered = list(map(str, range(one.size(dim))))
+            names += [f"{one.name}_{entry}".rstrip("_") for entry in entries.get(one.kind, numbered)]
     return names
 
 

@@ -3,12 +3,20 @@
 import numpy as np
 
 from pmpm.output.files import OutputError, write_atomically
-from pmpm.point.paths import ACROSS, AXIAL, SHEAR, VOLUME
+from pmpm.point.paths import SHEAR, VOLUME
 from pmpm.scene.errors import SceneError
 
 UNITS = {"time": "s", "p": "Pa", "q": "Pa"}  # and stress_..; all else is a pure number or a state variable
 SILENT = 1e-9  # of the largest stress or strain: what stays below is zero on the screen, a column of it is left out
 ALWAYS = ("step", "strain", "p", "q", "J")
+LABELS = {
+    "p": "mean pressure p",
+    "q": "von Mises stress q",
+    "stress_xx": r"axial stress $\sigma_{xx}$",
+    "stress_xy": r"shear stress $\sigma_{xy}$",
+    "volume": r"volume strain $\ln J$",
+}
+COLOUR = "#1f4e79"
 SIZE, DPI = (3.4, 2.9), 90  # of one panel, inches and dots per inch
 
 
@@ -36,14 +44,23 @@ def table_text(record, rows):
 
 
 def shown(record):
-    """{name: number below which a value of the column is shown as zero} of the columns that say something."""
-    largest = {name: float(np.nanmax(np.abs(record[name]), initial=0.0)) for name in record.columns}
-    stress = max(record.rounding / SILENT, *(value for name, value in largest.items() if unit_of(name) == "Pa"))
-    strain = max(value for name, value in largest.items() if name.startswith(("strain", "gamma")))
-    zero = {name: SILENT * (stress if unit_of(name) == "Pa" else strain) for name in largest}
+    """{name: number below which a value of the column is zero} of the columns that say something."""
+    zero = zeros(record)
     same = {name for name in record.columns if name.startswith("strain_") and (record[name] == record["strain"]).all()}
     names = [name for name in record.columns if name not in same | {"time"}]
-    return {name: zero[name] for name in names if name in ALWAYS or largest[name] > zero[name]}
+    return {name: zero[name] for name in names if name in ALWAYS or largest(record, name) > zero[name]}
+
+
+def zeros(record):
+    """{name: number below which a value of the column is no more than round-off}."""
+    stress = max(largest(record, name) for name in record.columns if unit_of(name) == "Pa")
+    strain = max(largest(record, name) for name in record.columns if name.startswith(("strain", "gamma")))
+    stress_zero, strain_zero = max(SILENT * stress, record.rounding), SILENT * strain
+    return {name: stress_zero if unit_of(name) == "Pa" else strain_zero for name in record.columns}
+
+
+def largest(record, name):
+    return float(np.nanmax(np.abs(record[name]), initial=0.0))
 
 
 def unit_of(name):
@@ -81,23 +98,21 @@ def prefix_of(largest):
 
 
 def draw(record, path, title, file):
-    """Draw the stress that a path is about over its strain and, where there is shear, the stress path q over p.
+    """Draw the stress that a path is about over its strain, and the change of volume or the stress path q over p.
 
     `path` is one of paths.PATHS, None for a path of one's own.
     """
-    panels = [strain_panel(path)]
-    if float(record["q"].max()) > max(1e-6 * float(np.abs(record["p"]).max()), record.rounding):
-        panels.append(("p", "q", "mean pressure p", "von Mises stress q"))
     Figure = figure_class()  # noqa: N806
+    panels = panels_of(record, path)
     figure = Figure(figsize=(SIZE[0] * len(panels), SIZE[1]), dpi=DPI, layout="constrained")
     figure.suptitle(title, fontsize=9)
-    for axes, (x, y, x_label, y_label) in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
-        across, x_text = in_units(record, x, x_label)
-        along, y_text = in_units(record, y, y_label)
-        axes.plot(across, along, color="#1f4e79", lw=1.3)
-        axes.plot(across[:1], along[:1], "o", color="#1f4e79", ms=3)
-        axes.set_xlabel(x_text, fontsize=8)
-        axes.set_ylabel(y_text, fontsize=8)
+    for axes, (x, y) in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
+        (across, x_label), (along, y_label) = (in_units(record, name) for name in (x, y))
+        axes.plot(across, along, color=COLOUR, lw=1.3)
+        axes.plot(across[:1], along[:1], "o", color=COLOUR, ms=3)
+        axes.set_xlabel(x_label if x != "strain" else strain_label(path), fontsize=8)
+        axes.set_ylabel(y_label, fontsize=8)
+        axes.locator_params(nbins=5)
         axes.tick_params(labelsize=7)
         axes.grid(color="#dddddd", lw=0.5)
         axes.spines[["top", "right"]].set_visible(False)
@@ -107,23 +122,38 @@ def draw(record, path, title, file):
         raise OutputError(f"--plot {file}: {getattr(error, 'strerror', None) or error}") from None
 
 
-def strain_panel(path):
-    """(x, y, label of x, label of y) of the first panel."""
+def panels_of(record, path):
+    """[(x, y)] of the panels, names for `column`; the second only where there is something to see."""
     if path is None:
-        return "strain", "q", "length of the strain path", "von Mises stress q"
-    if path.driven == SHEAR:
-        return "strain", "stress_xy", r"shear strain $\gamma$", r"shear stress $\sigma_{xy}$"
-    if path.driven == VOLUME:
-        return "strain", "p", "volume strain ln J", "mean pressure p"
-    assert path.driven == AXIAL
-    stress = ("q", "von Mises stress q") if path.held == ACROSS and path.pressure == "required" else None
-    y, label = stress or ("stress_xx", r"axial stress $\sigma_{xx}$")
-    return "strain", y, r"axial strain $\ln\lambda_x$", label
+        first, second = ("strain", "q"), ("p", "q")
+    elif path.driven == VOLUME:
+        first, second = ("strain", "p"), ("p", "q")
+    else:
+        first = ("strain", "stress_xy" if path.driven == SHEAR else "stress_xx")
+        second = ("p", "q") if path.held is None else ("strain", "volume")
+    return [first, second] if all(np.ptp(column(record, name)) > 0.0 for name in second) else [first]
 
 
-def in_units(record, name, label):
-    """(values, label with unit): stresses in the power of a thousand that suits them."""
-    values = record[name]
+def strain_label(path):
+    if path is None:
+        return "length of the strain path"
+    return {SHEAR: r"shear strain $\gamma$", VOLUME: r"volume strain $\ln J$"}.get(
+        path.driven, r"axial strain $\ln\lambda_x$"
+    )
+
+
+def column(record, name):
+    """Values of a column, or ln J as `volume`; what is round-off is zero."""
+    if name == "volume":
+        values, zero = sum(record[one] for one in record.columns if one.startswith("strain_")), SILENT
+    else:
+        values, zero = record[name], zeros(record)[name]
+    return np.where(np.abs(values) <= zero, 0.0, values)
+
+
+def in_units(record, name):
+    """(values, label with unit) of a column: stresses in the power of a thousand that suits them."""
+    values, label = column(record, name), LABELS.get(name, name)
     if unit_of(name) != "Pa":
         return values, label
     factor, prefix = prefix_of(float(np.nanmax(np.abs(values), initial=0.0)))

@@ -58,8 +58,8 @@ EXAMPLES = {
     ),
     "mohr_coulomb": Example(
         "dense quartz sand",
-        DENSE_SAND,
-        DENSE_SAND_SOURCE,
+        DENSE_SAND | {"cohesion": 0.0, "dilatancy_angle": 5.0},
+        f"{DENSE_SAND_SOURCE}; dilatancy: phi - 30 degrees (Bolton 1986)",
         {"path": "triaxial", "pressure": 1.0e5, "strain": -0.02, "cycles": 2},
     ),
     "snow": Example(
@@ -86,5 +86,55 @@ EXAMPLES = {
         },
         f"{STEEL_SOURCE}; hardening E/100: EN 1993-1-5:2006, annex C.6",
         {"path": "uniaxial_stress", "strain": 0.01, "cycles": 2, "two_way": True},
+    ),
+    "cam_clay": Example(
+        "London clay, normally consolidated",
+        {
+            "density": 1830.0,
+            "shear_modulus": 1.6e6,
+            "swelling_index": 0.0293,
+            "compression_index": 0.0761,
+            "critical_state_slope": 0.888,
+            "preconsolidation_pressure": 1.0e5,
+            "initial_pressure": 1.0e5,
+        },
+        "Schofield and Wroth, Critical State Soil Mechanics (1968): lambda 0.161, kappa 0.062, M 0.888, over the specific "
+        "volume 2.12 at 100 kPa; shear modulus for a Poisson's ratio of 0.3 there",
+        {"path": "triaxial", "pressure": 1.0e5, "strain": -0.3, "steps": 400},
+    ),
+    "mu_i": Example(
+        "glass beads",
+        {
+            "density": 1470.0,
+            "youngs_modulus": 1.0e7,
+            "poisson_ratio": 0.3,
+            "static_friction": 0.382,
+            "dynamic_friction": 0.643,
+            "reference_inertial_number": 0.279,
+            "grain_diameter": 5.3e-4,
+            "grain_density": 2450.0,
+        },
+        "Jop, Forterre and Pouliquen (2006), Nature 441, 727; stiffness chosen, far below that of glass",
+        {
+            "path": "constant_pressure_shear",
+            "pressure": 1.0e3,
+            "strain": 0.002,
+            "rate": 100.0,
+            "cycles": 1,
+            "two_way": True,
+        },
+    ),
+    "bingham": Example(
+        "Carbopol gel, 0.30 %",
+        {
+            "density": 1000.0,
+            "flow_speed": 2.0,
+            "shear_modulus": 400.0,
+            "yield_stress": 89.0,
+            "viscosity": 47.7,
+            "flow_index": 0.415,
+        },
+        "Cochard and Ancey (2009), J. Non-Newton. Fluid Mech. 158, 73; shear modulus: the usual order of such gels",
+        {"path": "simple_shear", "strain": 2.0, "rate": 1.0, "cycles": 1, "two_way": True},
     ),
 }
