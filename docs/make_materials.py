@@ -16,7 +16,7 @@ from pmpm.point import report
 from pmpm.point.command import complete_keys, completed, course_text, short_text, typical_run
 from pmpm.scene.messages import value_text
 from pmpm.scene.values import range_text
-from pmpm.state.fields import Layout
+from pmpm.state.fields import KIND_SIZE
 
 FOLDER = Path(__file__).parent / "materials"
 MADE = "`python docs/make_materials.py` wrote this page from [{0}](../../{0}).\n"
@@ -126,21 +126,15 @@ def rest_text(field):
     return f"{field.rest:g} I" if field.kind == "tensor" and field.rest else f"{field.rest:g}"
 
 
-class Whole:
-    """Needs of a law with all of its state, for Layout."""
-
-    def __init__(self, law):
-        self.fields = law.STATE
-
-
 def bytes_text(law):
     """Bytes per particle in both dimensions and precisions."""
     rows = []
     for dim in (2, 3):
-        reals = Layout.of(Whole(law), dim).size
+        reals = 2 * dim + dim * dim + sum(KIND_SIZE[field.kind](dim) for field in law.STATE)
         rows.append(f"{4 * reals} bytes in float32 and {8 * reals} in float64 in {dim}-D")
-    kept = "these, " if len(law.STATE) > 1 else "it, "
-    return f"With all of {kept}position, velocity and affine field a particle takes {', '.join(rows)}, and {ID_BYTES} for its id."
+    kept = "With all of these," if len(law.STATE) > 1 else "With it,"
+    text = f"{kept} position, velocity and affine field a particle takes {', '.join(rows)}"
+    return f"{text}, and {ID_BYTES} for its id."
 
 
 def switch_lines(model, law):

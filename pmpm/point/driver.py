@@ -14,7 +14,6 @@ from pmpm.kernels import targets
 from pmpm.kernels.needs import law_needs
 from pmpm.physics import tensors2, tensors3
 from pmpm.point.paths import NORMAL, SHEAR, VOLUME, pattern
-from pmpm.state.fields import Layout
 
 EPS = float(np.finfo(float).eps)
 PRECISION = 1e-9  # of a held stress, relative to it
@@ -83,8 +82,7 @@ class Point:
         tensors = tensors2 if dim == 2 else tensors3
         self.target = targets.plain(la=tensors, law=self.law, **dict(needs.choices))
         self.is_viscous = bool(dict(needs.choices).get("VISCOUS"))
-        self.layout = Layout.of(needs, dim)
-        self.state_names = state_names(self.layout)
+        self.state_names = [name for one in needs.fields for name in entry_names(one, dim)]
         self.state = self.call("state_at", tuple(map(float, np.eye(dim).ravel())), self.params)
         self.sigma = self.cauchy_stress(self.state, np.zeros((dim, dim)))
         self.time, self.strain, self.shear = 0.0, np.zeros(3), np.zeros((3, 3))
@@ -159,9 +157,8 @@ class Point:
         return found | {name: value for name, value in zip(self.state_names, self.state, strict=True) if name != "J"}
 
 
-def state_names(layout):
-    """A column name for each number of a law's state."""
-    dim = layout.dim
+def entry_names(one, dim):
+    """A column name for each number of a StateField."""
     symmetric = [AXES[i] + AXES[j] for i, j in ENTRIES[dim]]
     entries = {
         "scalar": [""],
@@ -169,13 +166,9 @@ def state_names(layout):
         "tensor": [a + b for a in AXES[:dim] for b in AXES[:dim]],
         "symmetric": symmetric,
         "solid": [*symmetric, "zz"] if dim == 2 else symmetric,
+        "numbers": list(map(str, range(len(one.rest)))) if isinstance(one.rest, tuple) else [],
     }
-    first, names = layout.state_first, []
-    for one in layout.fields:
-        if layout.where(one.name).start >= first:
-            numbered = list(map(str, range(one.size(dim))))
-            names += [f"{one.name}_{entry}".rstrip("_") for entry in entries.get(one.kind, numbered)]
-    return names
+    return [f"{one.name}_{entry}".rstrip("_") for entry in entries[one.kind]]
 
 
 def motion(dim, driven, amount, held=None, free=0.0):
