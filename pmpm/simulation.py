@@ -270,13 +270,11 @@ class Simulation:
     def keep_velocities(self, dt):
         """Fill the grid without impulses and keep its velocities: what a blend takes from those after the step.
 
-        Walls act as they will, so that their images are on both sides of the difference; only friction is an impulse.
+        Nothing has acted on them: what walls do is part of the change, so that it reaches the particles whole.
         """
         self.scatter(0, self.last_layer - self.first_layer, dt, self.kernels.p2g_before)
         self.halo.finish(self.halo.start())
-        self.widen_boxes()
-        self.update_planes(0, self.patch.planes, dt, driven=False)
-        self.patch.before[:] = self.patch.nodes
+        self.take_averages(self.patch.before)
 
     def average_divergence(self, dt):
         """Average the divergence of the velocities on the nodes, which stay there, for F-bar.
@@ -288,12 +286,17 @@ class Simulation:
         patch.velocities[:] = patch.nodes
         self.scatter(0, self.last_layer - self.first_layer, dt, self.kernels.p2g_divergence)
         self.halo.finish(self.halo.start())
+        self.take_averages(patch.divergences)
+        patch.nodes[:] = patch.velocities
+
+    def take_averages(self, averages):
+        """Divide the sums on the nodes by their mass, or volume, and keep what comes out in `averages`."""
+        patch = self.patch
         self.widen_boxes()
         if self.wraps:
             self.wrap_planes(patch.nodes)
         self.kernels.divide_by_mass(patch.nodes, patch.boxes, 0, patch.planes)
-        patch.divergences[:] = patch.nodes
-        patch.nodes[:] = patch.velocities
+        averages[:] = patch.nodes
 
     def measure_divergence(self, layers):
         kernels = self.kernels
@@ -323,23 +326,22 @@ class Simulation:
                 )  # fmt: skip
         return runs
 
-    def update_planes(self, first, last, dt, driven=True):
-        """Momentum to velocity on planes first .. last - 1 of the patch: walls, and if `driven` all else that acts on nodes."""
+    def update_planes(self, first, last, dt):
+        """Momentum to velocity on planes first .. last - 1 of the patch, and all that acts on nodes: gravity, walls, regions."""
         nodes, boxes, drive = self.patch.nodes, self.patch.boxes, self.drive
         if self.wraps and first < last:
             self.wrap_planes(nodes[first:last])
-        if driven and drive.has_gravity:
+        if drive.has_gravity:
             self.kernels.add_gravity(nodes, boxes, first, last, drive.gravity_gain(dt))
-        if driven and drive.damping > 0.0:
+        if drive.damping > 0.0:
             self.kernels.damp(nodes, boxes, first, last, drive.kept(dt))
         here = [(wall, wall.clipped(first, last)) for wall in self.walls]
         for wall, box in here:
-            kind = wall.type if driven or wall.type != "friction" else "separate"
-            self.kernels.walls[kind](nodes, boxes, *box, *wall.step, wall.normal, wall.coefficient, wall.velocity)
+            self.kernels.walls[wall.type](nodes, boxes, *box, *wall.step, wall.normal, wall.coefficient, wall.velocity)
         self.kernels.divide_by_mass(nodes, boxes, first, last)
         for wall, box in here:
             self.kernels.images[wall.type](nodes, boxes, *box, *wall.step, wall.normal, wall.velocity)
-        for region in drive.regions if driven else ():
+        for region in drive.regions:
             region.impose(nodes, first, last)
 
     def widen_boxes(self):

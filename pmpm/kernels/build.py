@@ -228,8 +228,7 @@ def build(needs, layouts, parameter_counts, kind):
             measure_divergence.append(of_particles.entry(module.measure_divergence))
         g2p.append(target.entry(module.g2p))
     walls, images = {}, {}
-    frictionless = {"separate"} if needs.scheme.blends and "friction" in needs.wall_types else set()
-    for name in sorted((set(needs.wall_types) | frictionless) & set(WALLS)):
+    for name in sorted(set(needs.wall_types) & set(WALLS)):
         wall, image, two_sided = WALLS[name]
         target = targets.scalar(real, **scene, wall=wall, image=image, TWO_SIDED=two_sided)
         walls[name], images[name] = target.entry(loops.apply_wall), target.entry(loops.fill_beyond_wall)
