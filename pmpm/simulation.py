@@ -327,7 +327,7 @@ class Simulation:
         return runs
 
     def update_planes(self, first, last, dt):
-        """Momentum to velocity on planes first .. last - 1 of the patch, and all that acts on nodes: gravity, walls, regions."""
+        """Momentum to velocity on planes first .. last - 1 of the patch, with gravity, damping, walls and regions."""
         nodes, boxes, drive = self.patch.nodes, self.patch.boxes, self.drive
         if self.wraps and first < last:
             self.wrap_planes(nodes[first:last])
