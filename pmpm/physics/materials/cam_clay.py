@@ -7,9 +7,9 @@ d ln P_c = -d(plastic volume strain) / (lambda - kappa). So ln P falls by 1/lamb
 consolidation, by 1/kappa in unloading, and shearing without change of volume ends at q = M P.
 
 `attraction`, c cot(phi), moves all of it along the axis of pressure: it gives the stiffness attraction / kappa at zero
-pressure, where the logarithmic law alone has none, and a small cohesion. Tension is cut off: beyond p = 0 the particle opens,
-and `v_c`, the logarithmic volume gained, must be undone before pressure returns. Without attraction p cannot fall to zero and
-nothing is cut. The shear modulus is constant: a constant Poisson's ratio has no energy (Zytynski et al. 1978).
+pressure, where the logarithmic law alone has none, and a small cohesion. Mean tension is cut off (shear is not): beyond p = 0
+the particle opens, and `v_c`, the logarithmic volume gained, must be undone before pressure returns. Without attraction p
+cannot fall to zero and nothing is cut. The shear modulus is constant: a constant Poisson's ratio has no energy (Zytynski et al. 1978).
 
 The return is implicit. On the ellipse q = M P_c sin(t) / 2, P = P_c (1 + cos t) / 2, all is a function of u = tan(t/2) (its
 inverse where the trial lies on the dry side), and consistency one smooth equation between the trial's u and 1, the critical
