@@ -18,7 +18,7 @@ KEYS = {
     "yield_stress": YIELD,
     "viscosity": 3.0,
 }
-each_dimension = pytest.mark.parametrize("dim", (2, 3))
+each_dimension = pytest.mark.parametrize("dim", [2, 3])
 each_index = pytest.mark.parametrize("n", [0.3, 0.5, 1.0, 1.5, 2.0])
 
 

@@ -273,4 +273,6 @@ def test_slope_of_the_critical_state_meets_mohr_coulomb_in_triaxial_compression(
     # sigma_1 = sigma_3 (1 + sin) / (1 - sin).
     sine = math.sin(math.radians(25.0))
     major = (1.0 + sine) / (1.0 - sine)
-    assert cam_clay.critical_state_slope({"friction_angle": 25.0}) == pytest.approx((major - 1.0) / ((major + 2.0) / 3.0))
+    assert cam_clay.critical_state_slope({"friction_angle": 25.0}) == pytest.approx(
+        (major - 1.0) / ((major + 2.0) / 3.0)
+    )

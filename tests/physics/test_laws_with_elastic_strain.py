@@ -45,7 +45,7 @@ MATERIALS = {
 }
 STIFFNESS, DT = 1000.0, 1e-3
 each_material = pytest.mark.parametrize("name", MATERIALS)
-each_dimension = pytest.mark.parametrize("dim", (2, 3))
+each_dimension = pytest.mark.parametrize("dim", [2, 3])
 
 
 def particle(name, dim, F=None):
@@ -176,7 +176,9 @@ def test_the_bound_is_tight_in_a_slightly_strained_particle(name, dim):
     one = particle(name, dim, F)
     bound = 1000.0 * one("wave_speed_squared", one.state, one.params, 1000.0)
     # Strains of 0.2 % count with either sign; clay counts the attraction as pressure, by swelling_index of its bulk modulus.
-    assert squared_waves(name, dim, F, np.eye(dim)[0]).max() == pytest.approx(bound, rel=0.06 if "clay" in name else 0.01)
+    assert squared_waves(name, dim, F, np.eye(dim)[0]).max() == pytest.approx(
+        bound, rel=0.06 if "clay" in name else 0.01
+    )
 
 
 @each_dimension

@@ -22,7 +22,7 @@ KEYS = {
     "grain_density": RHO_S,
 }
 BULK, SHEAR = YOUNG / (3.0 * 0.4), YOUNG / 2.6
-each_dimension = pytest.mark.parametrize("dim", (2, 3))
+each_dimension = pytest.mark.parametrize("dim", [2, 3])
 
 
 def grains(dim, p=1000.0, **keys):

@@ -115,7 +115,7 @@ def test_alpha_grows_by_the_norm_of_the_plastic_strain(dim):
 @each_dimension
 def test_inside_the_surface_nothing_changes(dim, hardening):
     particle = metal(dim, hardening)
-    for n in range(20):
+    for _ in range(20):
         particle.advance(stretch(3e-5, -2e-5, 0.0))
     assert np.abs(particle.strain - np.diag([6e-4, -4e-4, 0.0])).max() < 1e-18
     assert not hardening or alpha(particle) == 0.0

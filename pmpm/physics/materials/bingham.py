@@ -124,7 +124,7 @@ def volume_ratio(E):
 
 
 def wave_speed_squared(E, params, density):
-    """(B J^(1 - gamma) + 4/3 mu - 2 mu dev ln F) / rho0, the spatial P-wave speed squared along a principal axis, from above."""
+    """Upper bound of (B J^(1 - gamma) + 4/3 mu - 2 mu dev ln F) / rho0, the spatial P-wave speed squared along an axis."""
     bulk_modulus, gamma, mu, yield_strain, time, n = params
     trace = la.trace_solid(E)
     D = la.scale_plus_diagonal(1.0, la.in_plane(E), -trace / 3.0)

@@ -9,7 +9,8 @@ consolidation, by 1/kappa in unloading, and shearing without change of volume en
 `attraction`, c cot(phi), moves all of it along the axis of pressure: it gives the stiffness attraction / kappa at zero
 pressure, where the logarithmic law alone has none, and a small cohesion. Mean tension is cut off (shear is not): beyond p = 0
 the particle opens, and `v_c`, the logarithmic volume gained, must be undone before pressure returns. Without attraction p
-cannot fall to zero and nothing is cut. The shear modulus is constant: a constant Poisson's ratio has no energy (Zytynski et al. 1978).
+cannot fall to zero and nothing is cut. The shear modulus is constant: a constant Poisson's ratio has no energy (Zytynski et
+al. 1978).
 
 The return is implicit. On the ellipse q = M P_c sin(t) / 2, P = P_c (1 + cos t) / 2, all is a function of u = tan(t/2) (its
 inverse where the trial lies on the dry side), and consistency one smooth equation between the trial's u and 1, the critical
@@ -27,9 +28,17 @@ SOURCE = "Borja and Tamagnini (1998), Comput. Methods Appl. Mech. Engrg. 155, 73
 KEYS = (
     DENSITY,
     Key("shear_modulus", "Pa", "stiffness in shear, constant", above=0.0),
-    Key("swelling_index", "-", "kappa, fall of the logarithm of volume per logarithm of pressure, unloading", above=0.0),
+    Key(
+        "swelling_index", "-", "kappa, fall of the logarithm of volume per logarithm of pressure, unloading", above=0.0
+    ),
     Key("compression_index", "-", "lambda, the same in first loading, more than swelling_index", above=0.0),
-    Key("critical_state_slope", "-", "M, ratio of shear stress q to pressure at the critical state", optional=True, above=0.0),
+    Key(
+        "critical_state_slope",
+        "-",
+        "M, ratio of shear stress q to pressure at the critical state",
+        optional=True,
+        above=0.0,
+    ),
     Key(
         "friction_angle",
         "deg",
@@ -204,7 +213,7 @@ def volume_ratio(state):
 
 
 def wave_speed_squared(state, params, density):
-    """(P / kappa + 4/3 mu - tau) / rho0 along a principal axis, the spatial P-wave speed squared, from above."""
+    """Upper bound of (P / kappa + 4/3 mu - tau) / rho0, the spatial P-wave speed squared along an axis."""
     mu, kappa, slope, M, P_0, log_ratio, attraction, opening, offset = params
     E = la.solid_part(state)
     D = la.scale_plus_diagonal(1.0, la.in_plane(E), -la.trace_solid(E) / 3.0)

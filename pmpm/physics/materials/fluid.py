@@ -20,7 +20,13 @@ STIFFNESS = (
         above=0.0,
     ),
     Key("bulk_modulus", "Pa", "stiffness against compression, instead of sound_speed", optional=True, above=0.0),
-    Key("flow_speed", "m/s", "largest speed of the flow, a tenth of sound_speed, instead of it", optional=True, above=0.0),
+    Key(
+        "flow_speed",
+        "m/s",
+        "largest speed of the flow, a tenth of sound_speed, instead of it",
+        optional=True,
+        above=0.0,
+    ),
     Key("gamma", "-", "exponent of the Tait equation", default=7.0, at_least=1.0, at_most=20.0),
 )
 KEYS = (
