@@ -92,7 +92,7 @@ def test_the_fastest_flow_has_the_dynamic_friction():
 
 
 def test_the_shear_after_a_step_solves_the_quadratic_of_dunatunga_and_kamrin():
-    # s^2 - (S_2 + s_trial + A) s + S_2 s_trial + S_0 A = 0, the root below S_2 (their equation 3.13).
+    # s^2 - (S_2 + s_trial + A) s + S_2 s_trial + S_0 A = 0, the root below S_2.
     random = np.random.default_rng(1)
     for _ in range(200):
         s_0 = 10.0 ** random.uniform(-6, 0)
