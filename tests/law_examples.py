@@ -12,6 +12,15 @@ from pmpm.state.fields import Layout
 
 TENSORS = {2: tensors2, 3: tensors3}
 ELASTIC = {"density": 1000.0, "youngs_modulus": 1000.0, "poisson_ratio": 0.3}
+CLAY = {
+    "density": 1000.0,
+    "shear_modulus": 400.0,
+    "swelling_index": 0.1,
+    "compression_index": 0.3,
+    "friction_angle": 25.0,
+    "preconsolidation_pressure": 50.0,
+}
+MUD = {"density": 1000.0, "bulk_modulus": 1000.0, "shear_modulus": 400.0, "yield_stress": 20.0}
 # Label -> keys of a scene, with moduli of about 1 kPa, so that the tests may measure stresses by one STIFFNESS.
 EXAMPLES = {
     "neo_hookean": {"model": "neo_hookean", **ELASTIC},
@@ -24,6 +33,28 @@ EXAMPLES = {
         "friction_angle": 30.0,
         "volume_correction": False,
     },
+    "fluid, viscous, in tension": {
+        "model": "fluid",
+        "density": 1000.0,
+        "bulk_modulus": 1000.0,
+        "viscosity": 3.0,
+        "tension_cutoff": False,
+    },
+    "von_mises": {"model": "von_mises", **ELASTIC, "yield_stress": 50.0},
+    "von_mises, hardening": {"model": "von_mises", **ELASTIC, "yield_stress": 50.0, "hardening_modulus": 100.0},
+    "cam_clay": {"model": "cam_clay", **CLAY, "initial_pressure": 30.0},
+    "cam_clay, attraction": {"model": "cam_clay", **CLAY, "attraction": 30.0},
+    "mu_i": {
+        "model": "mu_i",
+        **ELASTIC,
+        "static_friction": 0.38,
+        "dynamic_friction": 0.64,
+        "grain_diameter": 1e-3,
+        "grain_density": 2500.0,
+    },
+    "bingham": {"model": "bingham", **MUD, "viscosity": 0.5},
+    "bingham, thinning": {"model": "bingham", **MUD, "viscosity": 5.0, "flow_index": 0.5},
+    "bingham, thickening, gamma 1": {"model": "bingham", **MUD, "viscosity": 0.5, "flow_index": 1.5, "gamma": 1.0},
 }
 STIFFNESS = 2000.0
 # Eps by which lanes may miss plain Python in one step: twice what was found, at least 20. Of the fluid, J^-8 takes the

@@ -87,6 +87,11 @@ def left_cauchy_green(F):
     return (F[0] * F[0] + F[1] * F[1], F[0] * F[2] + F[1] * F[3], F[2] * F[2] + F[3] * F[3])
 
 
+def symmetrize(A):
+    """(A + A^T) / 2, symmetric."""
+    return (A[0], 0.5 * (A[1] + A[2]), A[3])
+
+
 def isotropic(d):
     """d I, symmetric."""
     zero = d - d

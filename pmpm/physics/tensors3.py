@@ -137,6 +137,11 @@ def left_cauchy_green(F):
     )
 
 
+def symmetrize(A):
+    """(A + A^T) / 2, symmetric."""
+    return (A[0], 0.5 * (A[1] + A[3]), 0.5 * (A[2] + A[6]), A[4], 0.5 * (A[5] + A[7]), A[8])
+
+
 def isotropic(d):
     """d I, symmetric."""
     zero = d - d

@@ -44,7 +44,7 @@ def test_the_water_of_the_peers_is_tait_with_exponent_one():
     stress = in_dimension(fluid.kirchhoff_stress, 3)
     for J in (0.9, 0.99, 1.0, 1.01):
         peers = min(workloads.BULK_MODULUS * (J - 1.0), 0.0)
-        assert stress((J,), (workloads.BULK_MODULUS, 1.0))[0] == pytest.approx(peers, abs=1e-10)
+        assert stress((J,), (workloads.BULK_MODULUS, 1.0, 0.0))[0] == pytest.approx(peers, abs=1e-10)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -223,8 +223,10 @@ def test_parameters_of_a_material_name_every_key_of_its_law(good):
         "density": 1000.0,
         "sound_speed": 15.0,
         "bulk_modulus": None,
+        "flow_speed": None,
         "gamma": 7.0,
         "viscosity": 0.0,
+        "tension_cutoff": True,
     }
 
 

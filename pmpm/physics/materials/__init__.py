@@ -12,10 +12,18 @@
 of the undeformed volume, viscosities in m2/s.
 """
 
-from pmpm.physics.materials import drucker_prager, fluid, neo_hookean, python_law
+from pmpm.physics.materials import bingham, cam_clay, drucker_prager, fluid, mu_i, neo_hookean, python_law, von_mises
 
-LAWS = {"neo_hookean": neo_hookean, "fluid": fluid, "drucker_prager": drucker_prager}
-PLANNED = ("fixed_corotated", "hencky", "snow", "von_mises", "cam_clay", "mu_i", "bingham")
+LAWS = {
+    "neo_hookean": neo_hookean,
+    "fluid": fluid,
+    "drucker_prager": drucker_prager,
+    "von_mises": von_mises,
+    "cam_clay": cam_clay,
+    "mu_i": mu_i,
+    "bingham": bingham,
+}
+PLANNED = ("fixed_corotated", "hencky", "snow")
 
 
 def law_of(model):
