@@ -112,7 +112,7 @@ def wobbling(transfer, **domain):
     return simulation
 
 
-@pytest.mark.parametrize("transfer", TRANSFERS)
+@pytest.mark.parametrize("transfer", ["apic", "mls", "pic", "flip", "aflip"])
 def test_momentum_is_conserved_over_a_thousand_steps(transfer):
     simulation = wobbling(transfer)
     before, scale = simulation.measure(), sum_of_momenta(simulation)
