@@ -12,10 +12,15 @@
 of the undeformed volume, viscosities in m2/s.
 """
 
-from pmpm.physics.materials import drucker_prager, fluid, neo_hookean, python_law
+from pmpm.physics.materials import drucker_prager, fixed_corotated, fluid, neo_hookean, python_law
 
-LAWS = {"neo_hookean": neo_hookean, "fluid": fluid, "drucker_prager": drucker_prager}
-PLANNED = ("fixed_corotated", "hencky", "snow", "von_mises", "cam_clay", "mu_i", "bingham")
+LAWS = {
+    "neo_hookean": neo_hookean,
+    "fixed_corotated": fixed_corotated,
+    "fluid": fluid,
+    "drucker_prager": drucker_prager,
+}
+PLANNED = ("hencky", "snow", "von_mises", "cam_clay", "mu_i", "bingham")
 
 
 def law_of(model):
