@@ -249,29 +249,42 @@ def rotate(c, s, u, v):
     )
 
 
-def eigen_symmetric(S):
-    """(Q, s) with S = Q diag(s) Q^T, Q a rotation: cyclic Jacobi with a fixed number of sweeps, any order of s."""
+def jacobi_sweep(S, p, q, r):
+    """(S, p, q, r, largest tangent) after one cyclic sweep of rotations on S = diag by the columns p, q, r."""
     xx, xy, xz, yy, yz, zz = S[0], S[1], S[2], S[3], S[4], S[5]
-    zero = xx - xx
+    first, c, s = rotation_to_diagonal(xx, yy, xy)
+    xx, yy = xx - first * xy, yy + first * xy
+    xz, yz = c * xz - s * yz, s * xz + c * yz
+    p, q = rotate(c, s, p, q)
+    second, c, s = rotation_to_diagonal(xx, zz, xz)
+    xx, zz = xx - second * xz, zz + second * xz
+    xy, yz = -s * yz, c * yz
+    p, r = rotate(c, s, p, r)
+    third, c, s = rotation_to_diagonal(yy, zz, yz)
+    yy, zz = yy - third * yz, zz + third * yz
+    xy, xz = c * xy, s * xy
+    q, r = rotate(c, s, q, r)
+    return (xx, xy, xz, yy, xx - xx, zz), p, q, r, max(max(abs(first), abs(second)), abs(third))
+
+
+def eigen_symmetric(S):
+    """(Q, s) with S = Q diag(s) Q^T, Q a rotation, any order of s: cyclic Jacobi sweeps.
+
+    A particle whose last sweep turned by less than the root of eps is done, since convergence is quadratic.
+    """
+    S = (S[0], S[1], S[2], S[3], S[4], S[5])
+    zero = S[0] - S[0]
     one = zero + 1.0
     p, q, r = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    turned = one
     for _ in range(SWEEPS):
-        t, c, s = rotation_to_diagonal(xx, yy, xy)
-        xx, yy = xx - t * xy, yy + t * xy
-        xy = zero
-        xz, yz = c * xz - s * yz, s * xz + c * yz
-        p, q = rotate(c, s, p, q)
-        t, c, s = rotation_to_diagonal(xx, zz, xz)
-        xx, zz = xx - t * xz, zz + t * xz
-        xz = zero
-        xy, yz = c * xy - s * yz, s * xy + c * yz
-        p, r = rotate(c, s, p, r)
-        t, c, s = rotation_to_diagonal(yy, zz, yz)
-        yy, zz = yy - t * yz, zz + t * yz
-        yz = zero
-        xy, xz = c * xy - s * xz, s * xy + c * xz
-        q, r = rotate(c, s, q, r)
-    return (p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]), (xx, yy, zz)
+        moving = turned * turned > EPS
+        if any_of(moving):
+            T, u, v, w, t = jacobi_sweep(S, p, q, r)
+            S = where_symmetric(moving, T, S)
+            p, q, r = where_vector(moving, u, p), where_vector(moving, v, q), where_vector(moving, w, r)
+            turned = where(moving, t, turned)
+    return (p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]), (S[0], S[3], S[5])
 
 
 def spectral(Q, t):
