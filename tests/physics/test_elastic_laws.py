@@ -1,4 +1,7 @@
-"""Neo-Hookean and fixed corotated solids, weakly compressible fluid and the Hencky elasticity of sand: stress against energy, limits, waves."""
+"""Neo-Hookean and fixed corotated solids, weakly compressible fluid and sand's Hencky elasticity.
+
+Stress against energy, limits, waves.
+"""
 
 import itertools
 
@@ -267,7 +270,7 @@ def of_stretches(random, s):
 
 
 def far_stretches(dim):
-    """Stretches of condition 1, 10 and 1000 and of determinant 1e-6 to 1000, evenly graded, or with the first or last two equal."""
+    """Stretches of condition 1, 10 and 1000 and of determinant 1e-6 to 1000, graded, or the first or last two equal."""
     for condition, det in itertools.product((1.0, 10.0, 1e3), (1e-6, 1e-3, 1.0, 1e3)):
         for between in (0.5, 0.0, 1.0) if dim == 3 and condition > 1.0 else (0.5,):
             exponents = (0.0, between, 1.0) if dim == 3 else (0.0, 1.0)
@@ -345,7 +348,7 @@ def test_a_rotation_of_a_corotated_solid_is_free_of_stress_to_a_few_eps_of_its_s
 
 @pytest.mark.parametrize("dim", DIMS)
 def test_principal_stresses_of_a_corotated_solid_follow_its_stretches_through_inversion(dim):
-    """tau_i = s_i dpsi/ds_i with psi = mu sum (s_i - 1)^2 + lam/2 (J - 1)^2; at s_i < 0 it is tension, which pushes s_i to 1."""
+    """tau_i = s_i dpsi/ds_i, psi = mu sum (s_i - 1)^2 + lam/2 (J - 1)^2; at s_i < 0 it is above zero, which pushes s_i to 1."""
     law, random = Law("fixed_corotated", dim), np.random.default_rng(14)
     others = np.array([1.4, 0.8][: dim - 1])
     for smallest in (0.7, 0.1, 1e-9, 0.0, -1e-9, -0.1, -0.7):

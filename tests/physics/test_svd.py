@@ -77,8 +77,8 @@ GAPS = {
     "condition 1e6": (1e3, 1.0, 1e-3),
 }
 SPECIAL = (
-    "zero", "the identity", "minus the identity", "diagonal", "graded and diagonal", "nilpotent", "permutations", "entries -1, 0, 1",
-    "near the identity", "near a rotation",
+    "zero", "the identity", "minus the identity", "diagonal", "graded and diagonal", "vanishing", "nilpotent", "permutations",
+    "entries -1, 0, 1", "near the identity", "near a rotation",
 )  # fmt: skip
 KINDS = (*SPECIAL, *GAPS)
 
@@ -97,6 +97,14 @@ def kind_of_matrices(kind, dim):
         "minus the identity": -one[None],
         "diagonal": np.stack([np.diag(s) for s in itertools.product((1.0, -1.0, 2.0, -0.25, 0.0), repeat=dim)]),
         "graded and diagonal": np.stack([np.diag(s) for s in itertools.permutations((1.0, -1e-8, 1e-16)[:dim])]),
+        # Columns whose squares underflow beside one whose square does not.
+        "vanishing": np.stack(
+            [
+                (one + 0.3 * shift.T) * s
+                for tiny in (1e-30, 1e-200)
+                for s in itertools.permutations((1.0, -tiny, 0.1 * tiny)[:dim])
+            ]
+        ),
         "nilpotent": np.stack([shift, shift.T, shift + 3.0 * shift @ shift, 1e-9 * shift]),
         "permutations": np.stack([one[list(order)] for order in itertools.permutations(range(dim))]),
         "entries -1, 0, 1": np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=dim * dim))).reshape(-1, dim, dim),
