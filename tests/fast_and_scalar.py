@@ -32,6 +32,7 @@ def own_law(F, mu, bulk):
 RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e5, "poisson_ratio": 0.3}
 WATER = {"model": "fluid", "density": 1000.0, "sound_speed": 12.0}
 SAND = RUBBER | {"model": "drucker_prager", "friction_angle": 35.0}
+COROTATED = RUBBER | {"model": "fixed_corotated"}
 OWN = {"model": own_law, "density": 1000.0, "mu": 4e4, "bulk": 1e5}
 # In this order the laws of `several` have the kernels that other rows compile already.
 MATERIALS = {
@@ -40,6 +41,7 @@ MATERIALS = {
     "drucker_prager, no volume correction": (SAND | {"volume_correction": False},),
     "drucker_prager": (SAND,),
     "neo_hookean": (RUBBER,),
+    "fixed_corotated": (COROTATED,),
     "own law": (OWN,),
     "several": (WATER, RUBBER, SAND),
 }

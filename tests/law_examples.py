@@ -24,6 +24,7 @@ MUD = {"density": 1000.0, "bulk_modulus": 1000.0, "shear_modulus": 400.0, "yield
 # Label -> keys of a scene, with moduli of about 1 kPa, so that the tests may measure stresses by one STIFFNESS.
 EXAMPLES = {
     "neo_hookean": {"model": "neo_hookean", **ELASTIC},
+    "fixed_corotated": {"model": "fixed_corotated", **ELASTIC},
     "fluid": {"model": "fluid", "density": 1000.0, "bulk_modulus": 1000.0, "gamma": 7.0},
     "fluid, gamma 1": {"model": "fluid", "density": 1000.0, "bulk_modulus": 1000.0, "gamma": 1.0},
     "drucker_prager": {"model": "drucker_prager", **ELASTIC, "friction_angle": 30.0},

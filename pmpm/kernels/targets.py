@@ -22,13 +22,16 @@ from pmpm.physics import words
 FAST = {"contract", "nsz"}  # never nnan or ninf: guards such as `abs(x) <= limit` must hold for nan
 PRECISION_WORDS: dict = {
     np.dtype("float32"): {
+        "EPS": 2.0**-23,
         "TINY": 1e-19,
         "SWEEPS": 5,
+        "HALLEY_STEPS": 3,
         "EXPM1_OF_TWICE": words.EXPM1_OF_TWICE[-12:],
         "ATANH_OVER_ROOT": words.ATANH_OVER_ROOT[-11:],
     },
     np.dtype("float64"): {
-        name: getattr(words, name) for name in ("TINY", "SWEEPS", "EXPM1_OF_TWICE", "ATANH_OVER_ROOT")
+        name: getattr(words, name)
+        for name in ("EPS", "TINY", "SWEEPS", "HALLEY_STEPS", "EXPM1_OF_TWICE", "ATANH_OVER_ROOT")
     },
 }
 OUTSIDE = ("numba", "numpy", "math", "builtins")  # modules whose functions are taken as they are

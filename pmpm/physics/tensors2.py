@@ -1,8 +1,10 @@
 """2 x 2 tensors (plane strain) as flat tuples, row by row; symmetric ones as (xx, xy, yy). Same words as tensors3."""
 
-from pmpm.physics.words import TINY, sqrt, where
+from pmpm.physics.words import EPS, TINY, any_of, sqrt, where
 
 DIM = 2.0
+POLAR_LIMIT = 0.05  # of |F|^2, for (s[0] + s[1])^2
+SMALLEST, LARGEST = 1e-6, 1e6  # of |F|^2, for `polar` without scaling
 
 
 def det(A):
@@ -194,6 +196,96 @@ def spectral(Q, t):
 def each(function, t):
     """`function` of each principal value."""
     return (function(t[0]), function(t[1]))
+
+
+def cofactor(A):
+    """det A A^-T, the derivative of det A."""
+    return (A[3], -A[2], -A[1], A[0])
+
+
+def norm_squared(A):
+    """Sum of the squares of all entries."""
+    return A[0] * A[0] + A[1] * A[1] + A[2] * A[2] + A[3] * A[3]
+
+
+def where_tensor(condition, A, B):
+    """A where the condition holds, else B."""
+    return (
+        where(condition, A[0], B[0]),
+        where(condition, A[1], B[1]),
+        where(condition, A[2], B[2]),
+        where(condition, A[3], B[3]),
+    )
+
+
+def product_symmetric(A, B):
+    """A B^T where the result is known to be symmetric."""
+    return (A[0] * B[0] + A[1] * B[1], A[0] * B[2] + A[1] * B[3], A[2] * B[2] + A[3] * B[3])
+
+
+def givens(x, y):
+    """(cosine, sine) of the rotation that turns the vector (x, y) onto (r, 0), r >= 0: at any size, none for zero."""
+    size = max(abs(x), abs(y))
+    none = size == 0.0
+    x, y = where(none, 1.0, x / where(none, 1.0, size)), y / where(none, 1.0, size)
+    r = sqrt(x * x + y * y)
+    return x / r, y / r
+
+
+def turn_to_orthogonal(first, second, product):
+    """(cosine, sine, size) of the turn that makes two vectors u, v orthogonal, the longer one first: for u.u, v.v and u.v.
+
+    A turn of at most 45 degrees, with its tangent as size, or that one and an exchange, with size 1. What is orthogonal, or
+    equally long, to round-off is left as it is.
+    """
+    noise = 2.0 * EPS * (first + second)
+    difference, twice = first - second, 2.0 * product
+    twice = where(abs(twice) <= noise, 0.0, twice)
+    exchange = difference < -noise
+    t = twice / (abs(difference) + sqrt(difference * difference + twice * twice) + TINY)
+    cosine = 1.0 / sqrt(1.0 + t * t)
+    sine = t * cosine
+    return where(exchange, sine, cosine), where(exchange, cosine, sine), where(exchange, 1.0, abs(t))
+
+
+def svd(F):
+    """(U, s, V) with F = U diag(s) V^T: rotations U and V, s[0] >= |s[1]|, and s[1] carries the sign of det F.
+
+    V makes the columns of F V orthogonal (Hestenes 1958), in closed form; a Givens rotation reads off U, which is one even
+    where F is singular. Errors of s are a few eps s[0]. All is nan where an entry of F is not finite.
+    """
+    size = max(max(abs(F[0]), abs(F[1])), max(abs(F[2]), abs(F[3])))
+    unit = where(size == 0.0, 1.0, size)
+    zero = (F[0] - F[0]) + (F[1] - F[1]) + (F[2] - F[2]) + (F[3] - F[3])
+    a, b, c, d = F[0] / unit + zero, F[1] / unit + zero, F[2] / unit + zero, F[3] / unit + zero
+    cosine, sine, t = turn_to_orthogonal(a * a + c * c, b * b + d * d, a * b + c * d)
+    a, b, c, d = cosine * a + sine * b, cosine * b - sine * a, cosine * c + sine * d, cosine * d - sine * c
+    p, q = givens(a, c)
+    first = p * a + q * c
+    second = max(min(p * d - q * b, first), -first)
+    return (p, -q, q, p), (size * first, size * second), (cosine, -sine, sine, cosine)
+
+
+def polar_by_svd(F):
+    """U V^T of the singular value decomposition: the dear way to `polar`."""
+    U, s, V = svd(F)
+    return matmul(U, (V[0], V[2], V[1], V[3]))
+
+
+def polar(F):
+    """The rotation R nearest F, also where det F <= 0: R = U V^T of `svd`, and R^T F is symmetric.
+
+    F + cof F is a multiple of R, by s[0] + s[1]. By svd where that is small: there R turns far for little change of F.
+    """
+    x, y = F[0] + F[3], F[2] - F[1]
+    square, whole = x * x + y * y, norm_squared(F)
+    far = (square <= POLAR_LIMIT * whole) | (whole < SMALLEST) | (whole > LARGEST)
+    inverse = 1.0 / sqrt(max(square, TINY))
+    x, y = x * inverse, y * inverse
+    R = (x, -y, y, x)
+    if any_of(far):
+        R = where_tensor(far, polar_by_svd(F), R)
+    return R
 
 
 def symmetric_part(state):

@@ -1,8 +1,10 @@
 """3 x 3 tensors as flat tuples, row by row; symmetric ones as (xx, xy, xz, yy, yz, zz). Same words as tensors2."""
 
-from pmpm.physics.words import SWEEPS, TINY, sqrt, where
+from pmpm.physics.words import EPS, HALLEY_STEPS, SWEEPS, TINY, any_of, sqrt, where
 
 DIM = 3.0
+POLAR_LIMIT = 0.3  # of x^3, for the denominator of `polar`: 16/27 where all s are equal
+SMALLEST, LARGEST = 1e-2, 1e4  # of |F|^2, for `polar` without scaling
 
 
 def det(A):
@@ -272,29 +274,42 @@ def rotate(c, s, u, v):
     )
 
 
-def eigen_symmetric(S):
-    """(Q, s) with S = Q diag(s) Q^T, Q a rotation: cyclic Jacobi with a fixed number of sweeps, any order of s."""
+def jacobi_sweep(S, p, q, r):
+    """(S, p, q, r, largest tangent) after one cyclic sweep of rotations on S = diag by the columns p, q, r."""
     xx, xy, xz, yy, yz, zz = S[0], S[1], S[2], S[3], S[4], S[5]
-    zero = xx - xx
+    first, c, s = rotation_to_diagonal(xx, yy, xy)
+    xx, yy = xx - first * xy, yy + first * xy
+    xz, yz = c * xz - s * yz, s * xz + c * yz
+    p, q = rotate(c, s, p, q)
+    second, c, s = rotation_to_diagonal(xx, zz, xz)
+    xx, zz = xx - second * xz, zz + second * xz
+    xy, yz = -s * yz, c * yz
+    p, r = rotate(c, s, p, r)
+    third, c, s = rotation_to_diagonal(yy, zz, yz)
+    yy, zz = yy - third * yz, zz + third * yz
+    xy, xz = c * xy, s * xy
+    q, r = rotate(c, s, q, r)
+    return (xx, xy, xz, yy, xx - xx, zz), p, q, r, max(max(abs(first), abs(second)), abs(third))
+
+
+def eigen_symmetric(S):
+    """(Q, s) with S = Q diag(s) Q^T, Q a rotation, any order of s: cyclic Jacobi sweeps.
+
+    A particle whose last sweep turned by less than the root of eps is done, since convergence is quadratic.
+    """
+    S = (S[0], S[1], S[2], S[3], S[4], S[5])
+    zero = S[0] - S[0]
     one = zero + 1.0
     p, q, r = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    turned = one
     for _ in range(SWEEPS):
-        t, c, s = rotation_to_diagonal(xx, yy, xy)
-        xx, yy = xx - t * xy, yy + t * xy
-        xy = zero
-        xz, yz = c * xz - s * yz, s * xz + c * yz
-        p, q = rotate(c, s, p, q)
-        t, c, s = rotation_to_diagonal(xx, zz, xz)
-        xx, zz = xx - t * xz, zz + t * xz
-        xz = zero
-        xy, yz = c * xy - s * yz, s * xy + c * yz
-        p, r = rotate(c, s, p, r)
-        t, c, s = rotation_to_diagonal(yy, zz, yz)
-        yy, zz = yy - t * yz, zz + t * yz
-        yz = zero
-        xy, xz = c * xy - s * xz, s * xy + c * xz
-        q, r = rotate(c, s, q, r)
-    return (p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]), (xx, yy, zz)
+        moving = turned * turned > EPS
+        if any_of(moving):
+            T, u, v, w, t = jacobi_sweep(S, p, q, r)
+            S = where_symmetric(moving, T, S)
+            p, q, r = where_vector(moving, u, p), where_vector(moving, v, q), where_vector(moving, w, r)
+            turned = where(moving, t, turned)
+    return (p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2]), (S[0], S[3], S[5])
 
 
 def spectral(Q, t):
@@ -314,6 +329,171 @@ def spectral(Q, t):
 def each(function, t):
     """`function` of each principal value."""
     return (function(t[0]), function(t[1]), function(t[2]))
+
+
+def cofactor(A):
+    """det A A^-T, the derivative of det A."""
+    return (
+        A[4] * A[8] - A[5] * A[7],
+        A[5] * A[6] - A[3] * A[8],
+        A[3] * A[7] - A[4] * A[6],
+        A[2] * A[7] - A[1] * A[8],
+        A[0] * A[8] - A[2] * A[6],
+        A[1] * A[6] - A[0] * A[7],
+        A[1] * A[5] - A[2] * A[4],
+        A[2] * A[3] - A[0] * A[5],
+        A[0] * A[4] - A[1] * A[3],
+    )
+
+
+def norm_squared(A):
+    """Sum of the squares of all entries."""
+    return trace_symmetric(left_cauchy_green(A))
+
+
+def where_vector(condition, u, v):
+    """u where the condition holds, else v."""
+    return (where(condition, u[0], v[0]), where(condition, u[1], v[1]), where(condition, u[2], v[2]))
+
+
+def where_tensor(condition, A, B):
+    """A where the condition holds, else B."""
+    return (
+        *where_vector(condition, A[:3], B[:3]),
+        *where_vector(condition, A[3:6], B[3:6]),
+        *where_vector(condition, A[6:], B[6:]),
+    )
+
+
+def product_symmetric(A, B):
+    """A B^T where the result is known to be symmetric."""
+    return (
+        A[0] * B[0] + A[1] * B[1] + A[2] * B[2],
+        A[0] * B[3] + A[1] * B[4] + A[2] * B[5],
+        A[0] * B[6] + A[1] * B[7] + A[2] * B[8],
+        A[3] * B[3] + A[4] * B[4] + A[5] * B[5],
+        A[3] * B[6] + A[4] * B[7] + A[5] * B[8],
+        A[6] * B[6] + A[7] * B[7] + A[8] * B[8],
+    )
+
+
+def givens(x, y):
+    """(cosine, sine) of the rotation that turns the vector (x, y) onto (r, 0), r >= 0: at any size, none for zero."""
+    size = max(abs(x), abs(y))
+    none = size == 0.0
+    x, y = where(none, 1.0, x / where(none, 1.0, size)), y / where(none, 1.0, size)
+    r = sqrt(x * x + y * y)
+    return x / r, y / r
+
+
+def turn_to_orthogonal(first, second, product):
+    """(cosine, sine, size) of the turn that makes two vectors u, v orthogonal, the longer one first: for u.u, v.v and u.v.
+
+    A turn of at most 45 degrees, with its tangent as size, or that one and an exchange, with size 1. What is orthogonal, or
+    equally long, to round-off is left as it is.
+    """
+    noise = 2.0 * EPS * (first + second)
+    difference, twice = first - second, 2.0 * product
+    twice = where(abs(twice) <= noise, 0.0, twice)
+    exchange = difference < -noise
+    t = twice / (abs(difference) + sqrt(difference * difference + twice * twice) + TINY)
+    cosine = 1.0 / sqrt(1.0 + t * t)
+    sine = t * cosine
+    return where(exchange, sine, cosine), where(exchange, cosine, sine), where(exchange, 1.0, abs(t))
+
+
+def orthogonalise(u, v, p, q):
+    """(u, v, p, q, size of the turn) with u and v made orthogonal, the longer one first, and p and q turned like them."""
+    cosine, sine, size = turn_to_orthogonal(dot(u, u), dot(v, v), dot(u, v))
+    return *rotate(cosine, -sine, u, v), *rotate(cosine, -sine, p, q), size
+
+
+def to_length_one(u):
+    """u / |u| where |u| is 1 but for round-off."""
+    return scale_vector(1.5 - 0.5 * dot(u, u), u)
+
+
+def svd(F):
+    """(U, s, V) with F = U diag(s) V^T: rotations U and V, s[0] >= s[1] >= |s[2]|, and s[2] carries the sign of det F.
+
+    V makes the columns of F V orthogonal by one-sided Jacobi sweeps (Hestenes, J. Soc. Indust. Appl. Math. 6 (1958) 51),
+    the longer ones first (de Rijk 1989); Givens rotations then read off U, which is one even where F is singular. Errors of s
+    are a few eps s[0]. All is nan where an entry of F is not finite. A particle whose last sweep turned by less than the
+    root of eps is done, since convergence is quadratic; the others go on alone.
+    """
+    size = max(max(largest_entry(F[:3]), largest_entry(F[3:6])), largest_entry(F[6:]))
+    unit = where(size == 0.0, 1.0, size)
+    zero = trace_symmetric(left_cauchy_green(add(F, scale(-1.0, F))))
+    one = zero + 1.0
+    a = (F[0] / unit + zero, F[3] / unit, F[6] / unit)
+    b = (F[1] / unit + zero, F[4] / unit, F[7] / unit)
+    c = (F[2] / unit + zero, F[5] / unit, F[8] / unit)
+    p, q, r = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    turned = one
+    for _ in range(SWEEPS):
+        moving = turned * turned > EPS
+        if any_of(moving):
+            a1, b1, p1, q1, first = orthogonalise(a, b, p, q)
+            a1, c1, p1, r1, second = orthogonalise(a1, c, p1, r)
+            b1, c1, q1, r1, third = orthogonalise(b1, c1, q1, r1)
+            a, b, c = where_vector(moving, a1, a), where_vector(moving, b1, b), where_vector(moving, c1, c)
+            p, q, r = where_vector(moving, p1, p), where_vector(moving, q1, q), where_vector(moving, r1, r)
+            turned = where(moving, max(max(first, second), third), turned)
+    p, q, r = to_length_one(p), to_length_one(q), to_length_one(r)
+    x, y, z = (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
+    u, v, w = (one, zero, zero), (zero, one, zero), (zero, zero, one)
+    cosine, sine = givens(x[0], y[0])
+    x, y = rotate(cosine, -sine, x, y)
+    u, v = rotate(cosine, -sine, u, v)
+    cosine, sine = givens(x[0], z[0])
+    x, z = rotate(cosine, -sine, x, z)
+    u, w = rotate(cosine, -sine, u, w)
+    cosine, sine = givens(y[1], z[1])
+    y, z = rotate(cosine, -sine, y, z)
+    v, w = rotate(cosine, -sine, v, w)
+    second = min(y[1], x[0])
+    third = max(min(z[2], second), -second)
+    U = (u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2])
+    V = (p[0], q[0], r[0], p[1], q[1], r[1], p[2], q[2], r[2])
+    return U, (size * x[0], size * second, size * third), V
+
+
+def polar_by_svd(F):
+    """U V^T of the singular value decomposition: the dear way to `polar`."""
+    U, s, V = svd(F)
+    return matmul(U, (V[0], V[3], V[6], V[1], V[4], V[7], V[2], V[5], V[8]))
+
+
+def polar(F):
+    """The rotation R nearest F, also where det F <= 0: R = U V^T of `svd`, and R^T F is symmetric.
+
+    R is the derivative of x(F) = tr R^T F = s[0] + s[1] + s[2] (Smith, de Goes, Kim, ACM Trans. Graph. 38 (2019) 5), and x
+    is the largest root of (x^2 - |F|^2)^2 = 8 det F x + 4 |cof F|^2 (Franca, Computers Math. Applic. 18 (1989) 459), so
+        R = ((x^2 + |F|^2) F + 2 x cof F - 2 F F^T F) / (x^3 - |F|^2 x - 2 det F).
+    The denominator is 2 (s[0] + s[1]) (s[1] + s[2]) (s[2] + s[0]). By svd where that is small, because there R turns far
+    for little change of F, or where Halley's steps down from sqrt 3 |F|, which no sum exceeds, did not arrive.
+    """
+    b, K = left_cauchy_green(F), cofactor(F)
+    I = trace_symmetric(b)
+    J = F[0] * K[0] + F[1] * K[1] + F[2] * K[2]
+    constant = 4.0 * norm_squared(K)
+    x = sqrt(3.0 * I)
+    step = x
+    for _ in range(HALLEY_STEPS):
+        h = x * x - I
+        g, slope = h * h - (8.0 * J * x + constant), 4.0 * (h * x - 2.0 * J)
+        step = g * slope / max(slope * slope - g * (4.0 * (x * x) + 2.0 * h), TINY)
+        x = x - step
+    cube, denominator = x * x * x, (x * x - I) * x - 2.0 * J
+    unsteady = abs(step * step * step) > 0.1 * EPS * cube
+    far = (denominator <= POLAR_LIMIT * cube) | unsteady | (I < SMALLEST) | (I > LARGEST)
+    inverse = 1.0 / max(denominator, TINY)
+    bF = matmul(full(b), F)
+    f, k, m = (x * x + I) * inverse, 2.0 * x * inverse, -2.0 * inverse
+    R = add(scale(f, F), add(scale(k, K), scale(m, bF)))
+    if any_of(far):
+        R = where_tensor(far, polar_by_svd(F), R)
+    return R
 
 
 def symmetric_part(state):

@@ -3,8 +3,10 @@
 import math
 from math import cos, exp, expm1, log, log1p, sin, sqrt  # noqa: F401
 
+EPS = 2.0**-52  # distance from 1 to the next number: 2^-52 in float64, 2^-23 in float32
 TINY = 1e-150  # squares of numbers below it underflow: 1e-150 in float64, 1e-19 in float32
 SWEEPS = 6  # cyclic Jacobi sweeps of a symmetric 3 x 3 matrix: 6 in float64, 5 in float32
+HALLEY_STEPS = 4  # towards the sum of three stretches: 4 in float64, 3 in float32
 # Coefficients of power series, the highest power first. At x = 0.5, y = 0.25 what is left out is a tenth of eps or less:
 # 18 and 25 terms in float64, 11 and 11 in float32.
 EXPM1_OF_TWICE = (*(2.0**n / math.factorial(n) for n in range(18, 0, -1)), 0.0)  # exp(2 x) - 1

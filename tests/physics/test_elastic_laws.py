@@ -1,15 +1,34 @@
-"""Neo-Hookean solid, weakly compressible fluid and the Hencky elasticity of sand: stress against energy, limits, waves."""
+"""Neo-Hookean and fixed corotated solids, weakly compressible fluid and sand's Hencky elasticity.
+
+Stress against energy, limits, waves.
+"""
+
+import itertools
 
 import numpy as np
 import pytest
-from flat import flat, flat_symmetric, full, in_dimension, of_eigenvalues, random_rotation, random_stretch, symmetric
+from flat import (
+    EPS,
+    WORDS,
+    flat,
+    flat_symmetric,
+    full,
+    in_dimension,
+    of_eigenvalues,
+    random_rotation,
+    random_stretch,
+    symmetric,
+)
 
+from pmpm.kernels import targets
 from pmpm.physics.materials import LAWS
 
 DIMS = (2, 3)
-MODELS = ("neo_hookean", "fluid", "drucker_prager")
+MODELS = ("neo_hookean", "fixed_corotated", "fluid", "drucker_prager")
+KEEP_F = ("neo_hookean", "fixed_corotated")  # laws whose state is the deformation gradient
 KEYS = {
     "neo_hookean": {"density": 1000.0, "youngs_modulus": 1e6, "poisson_ratio": 0.3},
+    "fixed_corotated": {"density": 1000.0, "youngs_modulus": 1e6, "poisson_ratio": 0.3},
     "fluid": {"density": 1000.0, "bulk_modulus": 1e6, "gamma": 7.0, "viscosity": 0.0, "tension_cutoff": True},
     "drucker_prager": {
         "density": 2000.0,
@@ -37,7 +56,7 @@ class Law:
 
     def state(self, F):
         """The state of a particle that was deformed elastically by F."""
-        if self.model == "neo_hookean":
+        if self.model in KEEP_F:
             return flat(F)
         if self.model == "fluid":
             return (float(np.linalg.det(F)),)
@@ -110,7 +129,7 @@ def test_stress_turns_with_the_body_and_not_with_the_material(model, dim):
         assert abs(law.energy(Q @ F @ Q.T) - law.energy(F)) < scale
 
 
-@pytest.mark.parametrize("model", ["neo_hookean", "drucker_prager"])
+@pytest.mark.parametrize("model", [*KEEP_F, "drucker_prager"])
 @pytest.mark.parametrize("dim", DIMS)
 def test_small_strain_limit_is_hookes_law(dim, model):
     law, random, small = Law(model, dim), np.random.default_rng(4), 1e-7
@@ -223,7 +242,8 @@ def test_states_turned_inside_out_or_not_numbers_are_invalid(model, dim):
     for bad in (-2.0, -1.0, float("nan")):  # I + G has determinant below zero, zero, nan
         G = np.zeros((dim, dim))
         G[0, 0] = bad
-        assert not law("valid", law.advance(rest, G))
+        endures = model == "fixed_corotated" and bad == bad
+        assert law("valid", law.advance(rest, G)) == endures
     for place in range(len(rest) - (model == "drucker_prager")):
         state = list(rest)
         state[place] = float("nan")
@@ -239,6 +259,174 @@ def test_invalid_states_still_give_finite_or_nan_numbers_and_no_error(model, dim
     law("kirchhoff_stress", state, law.params)
     law("wave_speed_squared", state, law.params, 1000.0)
     law("energy", state, law.params)
+
+
+# ---- laws that keep F, far from rest -------------------------------------------------------------------------------------
+
+
+def of_stretches(random, s):
+    """U diag(s) V^T with random rotations U and V."""
+    return (random_rotation(random, len(s)) * s) @ random_rotation(random, len(s)).T
+
+
+def far_stretches(dim):
+    """Stretches of condition 1, 10 and 1000 and of determinant 1e-6 to 1000, graded, or the first or last two equal."""
+    for condition, det in itertools.product((1.0, 10.0, 1e3), (1e-6, 1e-3, 1.0, 1e3)):
+        for between in (0.5, 0.0, 1.0) if dim == 3 and condition > 1.0 else (0.5,):
+            exponents = (0.0, between, 1.0) if dim == 3 else (0.0, 1.0)
+            s = condition ** -np.array(exponents)
+            yield s * (det / s.prod()) ** (1.0 / dim)
+
+
+def far_deformations(model, dim):
+    """Deformations of far_stretches, those of fixed corotated also turned inside out: (F, whether energy is smooth at F)."""
+    random = np.random.default_rng(10)
+    for s in far_stretches(dim):
+        yield of_stretches(random, s), True
+        if model == "fixed_corotated":
+            inside_out = np.append(s[:-1], -s[-1])
+            yield of_stretches(random, inside_out), s[-2] > 1.5 * s[-1]  # at s_i = -s_j the energy has a ridge
+
+
+@pytest.mark.parametrize("dim", DIMS)
+@pytest.mark.parametrize("model", KEEP_F)
+def test_far_from_rest_stress_is_still_the_derivative_of_the_energy(model, dim):
+    # tau:D is the derivative of psi((I + h D) F): a step that suits stretches of any size.
+    law, unit = Law(model, dim), np.eye(dim)
+    for F, smooth in far_deformations(model, dim):
+        tau = law.tau(F)
+        if not smooth:
+            assert np.isfinite(tau).all()
+            continue
+        slope = np.empty((dim, dim))
+        for i, j in np.ndindex(dim, dim):
+            slope[i, j] = difference_quotient(
+                lambda D, F=F: law.energy((unit + D) @ F), 0.0, np.outer(unit[i], unit[j])
+            )
+        assert np.abs(slope - tau).max() <= 1e-7 * max(
+            np.abs(tau).max(), law.energy(F), 10.0
+        )  # Pa; a rotation has none
+
+
+@pytest.mark.parametrize("dim", DIMS)
+@pytest.mark.parametrize("model", KEEP_F)
+def test_far_from_rest_stress_turns_with_the_body_and_not_with_the_material(model, dim):
+    law, random = Law(model, dim), np.random.default_rng(11)
+    for F, smooth in far_deformations(model, dim):
+        Q = random_rotation(random, dim)
+        psi, tau = law.energy(F), law.tau(F)
+        # Turning F rounds it, and its determinant by as much as condition^(dim - 1) eps, at most 1e-10.
+        scale = 1e-9 * max(np.abs(tau).max(), psi, 1e6)
+        assert psi >= 0.0
+        assert abs(law.energy(Q @ F) - psi) < scale
+        assert abs(law.energy(F @ Q) - psi) < scale
+        if smooth:
+            assert np.abs(law.tau(Q @ F) - Q @ tau @ Q.T).max() < scale
+            assert np.abs(law.tau(F @ Q) - tau).max() < scale
+
+
+@pytest.mark.parametrize("det", [1e-8, 1e-16, 1e-300])
+@pytest.mark.parametrize("dim", DIMS)
+@pytest.mark.parametrize("model", KEEP_F)
+def test_a_vanishing_volume_gives_finite_numbers(model, dim, det):
+    law = Law(model, dim)
+    for s in (np.array([1.0] * (dim - 1) + [det]), np.full(dim, det ** (1.0 / dim))):
+        for F in (np.diag(s), of_stretches(np.random.default_rng(12), s)):
+            speed = law("wave_speed_squared", law.state(F), law.params, 1000.0)
+            assert np.isfinite([*law.tau(F).ravel(), law.energy(F), speed]).all() or not law("valid", law.state(F))
+
+
+# ---- fixed corotated -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dim", DIMS)
+def test_a_rotation_of_a_corotated_solid_is_free_of_stress_to_a_few_eps_of_its_stiffness(dim):
+    law, random = Law("fixed_corotated", dim), np.random.default_rng(13)
+    for _ in range(500):
+        assert np.abs(law.tau(random_rotation(random, dim))).max() <= 1e-15 * 1e6
+
+
+@pytest.mark.parametrize("dim", DIMS)
+def test_principal_stresses_of_a_corotated_solid_follow_its_stretches_through_inversion(dim):
+    """tau_i = s_i dpsi/ds_i, psi = mu sum (s_i - 1)^2 + lam/2 (J - 1)^2; at s_i < 0 it is above zero, which pushes s_i to 1."""
+    law, random = Law("fixed_corotated", dim), np.random.default_rng(14)
+    others = np.array([1.4, 0.8][: dim - 1])
+    for smallest in (0.7, 0.1, 1e-9, 0.0, -1e-9, -0.1, -0.7):
+        s = np.append(others, smallest)
+        U, V = random_rotation(random, dim), random_rotation(random, dim)
+        J = s.prod()
+        expected = 2.0 * MU * (s - 1.0) * s + LAM * (J - 1.0) * J
+        found = U.T @ law.tau((U * s) @ V.T) @ U
+        # Where two stretches of opposite sign are of nearly one size, R follows the round-off of F: 1 / (0.8 - 0.7) here.
+        assert np.abs(found - np.diag(expected)).max() <= 100.0 * EPS * 1e6
+        assert (expected[-1] > 0.0) == (smallest < 0.0)
+
+
+@pytest.mark.parametrize("dim", DIMS)
+def test_the_force_on_a_corotated_solid_opens_the_smallest_stretch_toward_one(dim):
+    law, random = Law("fixed_corotated", dim), np.random.default_rng(15)
+    for _ in range(20):
+        s = np.sort(random.uniform(0.5, 1.5, dim))[::-1]
+        U, V = random_rotation(random, dim), random_rotation(random, dim)
+        energies = []
+        for smallest in np.linspace(-0.95, 0.95, 20) * s[-1]:
+            s[-1] = smallest
+            energies.append(law.energy((U * s) @ V.T))
+        J_rest = s[:-1].prod()
+        if J_rest * 0.95 * s[-1] < 1.0 and s[-1] < 1.0:
+            assert (np.diff(energies) < 0.0).all()
+
+
+@pytest.mark.parametrize("dim", DIMS)
+def test_a_corotated_state_is_refused_only_where_it_is_no_number_or_absurd(dim):
+    law = Law("fixed_corotated", dim)
+    for F in (np.zeros((dim, dim)), -np.eye(dim), np.diag([1.0, -1.0, 1.0][:dim]), 1e5 * np.eye(dim)):
+        assert law("valid", flat(F))
+    for bad in (np.nan, np.inf, -np.inf, 1e7, 1e200):
+        for place in range(dim * dim):
+            state = list(flat(np.eye(dim)))
+            state[place] = bad
+            assert not law("valid", tuple(state))
+
+
+@pytest.mark.parametrize(
+    "stretches",
+    [
+        (1.0, 0.3, 0.05),
+        (0.1, 0.08, 0.05),
+        (5.0, 3.0, 2.0),
+        (5.0, 1.0, 0.2),
+        (1.2, 1.0, -0.6),
+        (0.5, 0.3, -0.1),
+        (3.0, 2.0, -1.0),
+    ],
+)
+@pytest.mark.parametrize("nu", [-0.4, 0.0, 0.3, 0.49])
+@pytest.mark.parametrize("dim", DIMS)
+def test_no_wave_in_a_corotated_solid_is_faster_than_the_bound_in_compression_stretch_and_inversion(dim, nu, stretches):
+    law, random = Law("fixed_corotated", dim, poisson_ratio=nu), np.random.default_rng(16)
+    mu, lam = law.params
+    s = np.array(stretches[-dim:])
+    F = of_stretches(random, s)
+    principal = np.linalg.svd(F)[0].T
+    directions = [*principal, *random.normal(size=(12, dim))]
+    fastest = max(squared_waves(law, F, n / np.linalg.norm(n)).max() for n in directions)
+    bound = 1000.0 * law("wave_speed_squared", law.state(F), law.params, 1000.0)
+    assert fastest <= bound * (1.0 + 1e-6)
+    if lam >= 0.0:  # along the longest axis the bound is met but for the row sums
+        assert fastest == pytest.approx(2.0 * mu * s[0] * s[0] + lam * s.prod() ** 2, rel=1e-5)
+
+
+@pytest.mark.parametrize("dim", DIMS)
+def test_in_float32_a_corotated_stress_errs_by_the_round_off_of_stretches_of_one(dim):
+    """So strains below 1e-6 are noise there: F - R of numbers near 1, however small the strain."""
+    random, eps = np.random.default_rng(17), float(np.finfo(np.float32).eps)
+    law = Law("fixed_corotated", dim)
+    F = np.stack([flat(deformation(random, dim, 1e-4)) for _ in range(500)]).astype(np.float32)
+    target = targets.arrays(np.float32, la=WORDS[dim])
+    found = target.compile(law.module.kirchhoff_stress)(tuple(F.T), tuple(map(np.float32, law.params)))
+    expected = np.array([flat_symmetric(law.tau(row.reshape(dim, dim).astype(float))) for row in F]).T
+    assert np.abs(np.subtract(found, expected)).max() <= 10.0 * eps * 1e6
 
 
 @pytest.mark.parametrize("gamma", [1.0, 4.0, 7.0])

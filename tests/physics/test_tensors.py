@@ -152,6 +152,9 @@ def words_and_numpy(la, dim, random):
         "matmul": (full(la.matmul(fA, fB)), A @ B),
         "add": (full(la.add(fA, fB)), A + B),
         "left_cauchy_green": (symmetric(la.left_cauchy_green(fA)), A @ A.T),
+        "cofactor": (full(la.cofactor(fA)), np.linalg.det(A) * np.linalg.inv(A).T),
+        "norm_squared": (la.norm_squared(fA), np.sum(A * A)),
+        "product_symmetric": (symmetric(la.product_symmetric(fA, flat(2.0 * A))), 2.0 * A @ A.T),
         "isotropic": (symmetric(la.isotropic(d)), d * np.eye(dim)),
         "scale_plus_diagonal": (symmetric(la.scale_plus_diagonal(a, fS, d)), a * S + d * np.eye(dim)),
         "trace_symmetric": (la.trace_symmetric(fS), np.trace(S)),
@@ -165,6 +168,8 @@ def words_and_numpy(la, dim, random):
         ),
         "where_symmetric": (la.where_symmetric(True, fS, flat_symmetric(P)), fS),
         "where_symmetric, else": (la.where_symmetric(False, fS, flat_symmetric(P)), flat_symmetric(P)),
+        "where_tensor": (full(la.where_tensor(True, fA, fB)), A),
+        "where_tensor, else": (full(la.where_tensor(False, fA, fB)), B),
         "norm_symmetric": (la.norm_symmetric(fS), np.linalg.norm(S)),
         "spectral": (symmetric(la.spectral(flat(Q), fu)), Q @ np.diag(u) @ Q.T),
         "each": (la.each(np.exp, fu), np.exp(u)),
@@ -185,7 +190,15 @@ def test_both_dimensions_have_the_same_words():
     def public(la):
         return {name for name, value in vars(la).items() if callable(value) and value.__module__ == la.__name__}
 
-    assert public(WORDS[3]) - public(WORDS[2]) == {"rotation_to_diagonal", "rotate"}
+    parts_of_sweeps = {
+        "rotation_to_diagonal",
+        "rotate",
+        "jacobi_sweep",
+        "orthogonalise",
+        "to_length_one",
+        "where_vector",
+    }
+    assert public(WORDS[3]) - public(WORDS[2]) == parts_of_sweeps
     assert public(WORDS[2]) <= public(WORDS[3])
 
 

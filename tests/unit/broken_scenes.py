@@ -62,6 +62,10 @@ def solid(old, new):
     return change(old, new, GOOD_3D)
 
 
+def corotated(old, new):
+    return change(old, new, solid("neo_hookean", "fixed_corotated"))
+
+
 BOX = '{ type = "box", min = [0.0, 0.0], max = [0.1, 0.1] }'
 DISK = '{ type = "sphere", center = [0.3, 0.1], radius = 0.05 }'
 CYLINDER = '{ type = "cylinder", center = [0.15, 0.15, 0.05], axis = "z", radius = 0.05, height = 0.05 }'
@@ -273,6 +277,16 @@ BROKEN = [
     ("poisson below", change("ratio = 0.3", "ratio = -1.5"), ["materials.sand.poisson_ratio = -1.5", "> -1 and < 0.5"]),
     ("no stiffness", change("modulus = 8.4e5", "modulus = 0"), ["materials.sand.youngs_modulus = 0 ", "> 0 Pa"]),
     ("no density", change(DENSITY, "density = 0.0"), ["materials.sand.density = 0.0", "> 0 kg/m3"]),
+    (
+        "corotated, poisson half",
+        corotated("ratio = 0.3", "ratio = 0.5"),
+        ["block.poisson_ratio = 0.5", "> -1 and < 0.5"],
+    ),
+    ("corotated, soft", corotated("modulus = 1e4", "modulus = -1e4"), ["block.youngs_modulus = -10000.0", "> 0 Pa"]),
+    ("corotated, no modulus", corotated("youngs_modulus = 1e4", ""), ["block.youngs_modulus is missing", "(Pa)"]),
+    ("corotated, light", corotated("density = 1000.0", "density = nan"), ["block.density = nan", "> 0 kg/m3"]),
+    ("corotated, friction", corotated("[[bodies]]", "friction_angle = 3.0\n[[bodies]]"), ["block.friction_angle"]),
+    ("corotated, misspelt", solid("neo_hookean", "fixed_corotatd"), ['model = "fixed_corotatd"', "fixed_corotated?"]),
     ("steep friction", change(ANGLE, "friction_angle = 90.0"), ["sand.friction_angle = 90.0", ">= 0 and < 90 deg"]),
     ("friction fit", change(ANGLE, ANGLE + '\nfriction_fit = "plane"'), ['friction_fit = "plane"', "plane_strain?"]),
     ("flag as a number", change(ANGLE, ANGLE + "\nvolume_correction = 1"), ["volume_correction = 1", "true or false"]),

@@ -12,10 +12,21 @@
 of the undeformed volume, viscosities in m2/s.
 """
 
-from pmpm.physics.materials import bingham, cam_clay, drucker_prager, fluid, mu_i, neo_hookean, python_law, von_mises
+from pmpm.physics.materials import (
+    bingham,
+    cam_clay,
+    drucker_prager,
+    fixed_corotated,
+    fluid,
+    mu_i,
+    neo_hookean,
+    python_law,
+    von_mises,
+)
 
 LAWS = {
     "neo_hookean": neo_hookean,
+    "fixed_corotated": fixed_corotated,
     "fluid": fluid,
     "drucker_prager": drucker_prager,
     "von_mises": von_mises,
@@ -23,7 +34,7 @@ LAWS = {
     "mu_i": mu_i,
     "bingham": bingham,
 }
-PLANNED = ("fixed_corotated", "hencky", "snow")
+PLANNED = ("hencky", "snow")
 
 
 def law_of(model):
