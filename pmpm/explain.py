@@ -56,7 +56,7 @@ def left_out(scene, needs):
     absent = [f"law {name}" for name in LAWS if name not in {law.model for law in needs.laws}]
     if not any("F" in law.state for law in needs.laws):
         absent.append("deformation gradient")
-    if not any(set(law.state) & {"v_c"} for law in needs.laws):
+    if not any(set(law.state) & {"v_c", "v_p", "e_p", "J_P"} for law in needs.laws):
         absent.append("plastic state")
     absent += [f"wall {name}" for name in ("stick", "slip", "separate", "friction") if name not in needs.wall_types]
     if needs.transfer == "mls":

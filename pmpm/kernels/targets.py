@@ -25,10 +25,12 @@ PRECISION_WORDS: dict = {
         "TINY": 1e-19,
         "SWEEPS": 5,
         "EXPM1_OF_TWICE": words.EXPM1_OF_TWICE[-12:],
+        "EXP_OF_TWICE_LESS_EXP": words.EXP_OF_TWICE_LESS_EXP[-11:],
         "ATANH_OVER_ROOT": words.ATANH_OVER_ROOT[-11:],
     },
     np.dtype("float64"): {
-        name: getattr(words, name) for name in ("TINY", "SWEEPS", "EXPM1_OF_TWICE", "ATANH_OVER_ROOT")
+        name: getattr(words, name)
+        for name in ("TINY", "SWEEPS", "EXPM1_OF_TWICE", "EXP_OF_TWICE_LESS_EXP", "ATANH_OVER_ROOT")
     },
 }
 OUTSIDE = ("numba", "numpy", "math", "builtins")  # modules whose functions are taken as they are

@@ -12,10 +12,25 @@
 of the undeformed volume, viscosities in m2/s.
 """
 
-from pmpm.physics.materials import drucker_prager, fluid, neo_hookean, python_law
+from pmpm.physics.materials import (
+    drucker_prager,
+    fluid,
+    hencky,
+    mohr_coulomb,
+    neo_hookean,
+    python_law,
+    snow,
+)
 
-LAWS = {"neo_hookean": neo_hookean, "fluid": fluid, "drucker_prager": drucker_prager}
-PLANNED = ("fixed_corotated", "hencky", "snow", "von_mises", "cam_clay", "mu_i", "bingham")
+LAWS = {
+    "neo_hookean": neo_hookean,
+    "hencky": hencky,
+    "fluid": fluid,
+    "drucker_prager": drucker_prager,
+    "mohr_coulomb": mohr_coulomb,
+    "snow": snow,
+}
+PLANNED = ("fixed_corotated", "von_mises", "cam_clay", "mu_i", "bingham")
 
 
 def law_of(model):
