@@ -25,21 +25,13 @@ EXAMPLES = {
         "volume_correction": False,
     },
     "drucker_prager, cohesion": {"model": "drucker_prager", **ELASTIC, "friction_angle": 30.0, "cohesion": 20.0},
-    "drucker_prager, von Mises": {"model": "drucker_prager", **ELASTIC, "friction_angle": 0.0, "cohesion": 20.0},
     "drucker_prager, dilatancy": {
         "model": "drucker_prager",
         **ELASTIC,
         "friction_angle": 30.0,
         "dilatancy_angle": 10.0,
     },
-    "drucker_prager, all options": {
-        "model": "drucker_prager",
-        **ELASTIC,
-        "friction_angle": 30.0,
-        "cohesion": 20.0,
-        "dilatancy_angle": 10.0,
-    },
-    "drucker_prager, dilatancy, no volume correction": {
+    "drucker_prager, cohesion and dilatancy, no volume correction": {
         "model": "drucker_prager",
         **ELASTIC,
         "friction_angle": 30.0,
@@ -49,13 +41,6 @@ EXAMPLES = {
     },
     "hencky": {"model": "hencky", **ELASTIC},
     "mohr_coulomb": {"model": "mohr_coulomb", **ELASTIC, "cohesion": 20.0, "friction_angle": 30.0},
-    "mohr_coulomb, dilatancy": {
-        "model": "mohr_coulomb",
-        **ELASTIC,
-        "cohesion": 20.0,
-        "friction_angle": 30.0,
-        "dilatancy_angle": 10.0,
-    },
     "mohr_coulomb, softening": {
         "model": "mohr_coulomb",
         **ELASTIC,
@@ -65,7 +50,7 @@ EXAMPLES = {
         "residual_friction_angle": 15.0,
         "softening_strain": 0.2,
     },
-    "mohr_coulomb, all options": {
+    "mohr_coulomb, softening and dilatancy": {
         "model": "mohr_coulomb",
         **ELASTIC,
         "cohesion": 20.0,

@@ -286,6 +286,15 @@ def test_without_friction_tension_has_no_limit_and_shear_has_trescas(dim):
     assert np.trace(E) == pytest.approx(log_J, rel=1e-12)
 
 
+@pytest.mark.parametrize("dim", DIMS)
+def test_without_friction_and_cohesion_there_is_no_shear_strength_and_the_trace_is_kept(dim):
+    # Round-off decides whether edges cross: without a tip of their own they must meet where the trace says.
+    law = Soil(dim, friction_angle=0.0, cohesion=0.0)
+    for E, G in trials(dim, 12, count=60):
+        trial, found = by_numpy(E, G), law.advance((E, 0.0, 0.0), G)[0]
+        assert np.abs(found - np.trace(trial) / 3.0 * np.eye(3)).max() < 1e-15 * 10.0
+
+
 def test_in_plane_strain_plastic_flow_strains_the_plane_elastically_along_z():
     # Total strain along z is zero; where tau_z is no longer the middle stress, flow takes part of it.
     law, E = Soil(2, cohesion=0.0, poisson_ratio=0.0), np.zeros((3, 3))
@@ -381,9 +390,10 @@ def test_the_sine_by_its_series_is_exact_to_round_off(degrees):
 # ---- volume, states -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("softening", [{}, SOFTENING], ids=["perfect", "softening"])
 @pytest.mark.parametrize("dim", DIMS)
-def test_with_dilatancy_the_volume_over_a_path_is_the_true_one(dim):
-    law, random = Soil(dim, dilatancy_angle=10.0), np.random.default_rng(11)
+def test_with_dilatancy_the_volume_over_a_path_is_the_true_one(dim, softening):
+    law, random = Soil(dim, dilatancy_angle=10.0, **softening), np.random.default_rng(11)
     state, log_J, steps = law.rest(), 0.0, 500
     for n in range(steps):
         G = np.zeros((3, 3))

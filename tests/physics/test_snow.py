@@ -299,7 +299,7 @@ def test_snow_that_is_torn_for_ever_stays_valid_and_finite(real):
     law = Snow(3)
     words = {"la": WORDS[3], **snow.choices(law.keys)}
     advance, stress, valid, wave = (
-        targets.scalar(real, **words).compile(getattr(snow, name))
+        targets.arrays(real, **words).compile(getattr(snow, name))
         for name in ("advance", "kirchhoff_stress", "valid", "wave_speed_squared")
     )
     state, params = (real(0.0),) * 6 + (real(1.0),), tuple(map(real, law.params))
