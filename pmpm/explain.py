@@ -5,12 +5,14 @@ import math
 import numpy as np
 
 from pmpm.physics import stability
-from pmpm.physics.materials import LAWS, PLANNED, python_law
+from pmpm.physics.materials import LAWS, python_law
 from pmpm.scene import seeding
 from pmpm.scene.errors import SceneError
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
 from pmpm.timestep import MOVE
+
+ELASTIC_STATE = {"F", "J", "hencky_strain", "elastic_strain"}
 
 
 def explain(scene, ranks):
@@ -56,7 +58,7 @@ def left_out(scene, needs):
     absent = [f"law {name}" for name in LAWS if name not in {law.model for law in needs.laws}]
     if not any("F" in law.state for law in needs.laws):
         absent.append("deformation gradient")
-    if not any(set(law.state) & {"v_c", "alpha", "plastic_volume"} for law in needs.laws):
+    if all(set(law.state) <= ELASTIC_STATE for law in needs.laws):
         absent.append("plastic state")
     absent += [f"wall {name}" for name in ("stick", "slip", "separate", "friction") if name not in needs.wall_types]
     if needs.transfer == "mls":
@@ -93,7 +95,7 @@ def material_lines():
         lines += [f"    {key.name:20s} {key.unit:6s} {key.meaning}{default_text(key)}" for key in law.KEYS]
         kept = ", ".join(f"{field.name} ({field.meaning})" for field in law.STATE)
         lines += [f"    a particle keeps: {kept}", ""]
-    return [*lines, f"not built yet: {', '.join(PLANNED)}"]
+    return lines[:-1]
 
 
 def default_text(key):

@@ -27,11 +27,20 @@ PRECISION_WORDS: dict = {
         "SWEEPS": 5,
         "HALLEY_STEPS": 3,
         "EXPM1_OF_TWICE": words.EXPM1_OF_TWICE[-12:],
+        "EXP_OF_TWICE_LESS_EXP": words.EXP_OF_TWICE_LESS_EXP[-11:],
         "ATANH_OVER_ROOT": words.ATANH_OVER_ROOT[-11:],
     },
     np.dtype("float64"): {
         name: getattr(words, name)
-        for name in ("EPS", "TINY", "SWEEPS", "HALLEY_STEPS", "EXPM1_OF_TWICE", "ATANH_OVER_ROOT")
+        for name in (
+            "EPS",
+            "TINY",
+            "SWEEPS",
+            "HALLEY_STEPS",
+            "EXPM1_OF_TWICE",
+            "EXP_OF_TWICE_LESS_EXP",
+            "ATANH_OVER_ROOT",
+        )
     },
 }
 OUTSIDE = ("numba", "numpy", "math", "builtins")  # modules whose functions are taken as they are

@@ -97,4 +97,4 @@ def wave_modulus(E, mu, lam):
 
     It bounds the waves along other axes too while no elastic strain is beyond 1; at 2, shear waves exceed it by 12 %.
     """
-    return lam + 2.0 * mu + 2.0 * mu * la.row_sum_bound(la.in_plane(E)) - lam * min(la.trace_solid(E), 0.0)
+    return lam + 2.0 * mu + 2.0 * mu * la.row_sum_bound(la.in_plane(E)) + max(-lam * la.trace_solid(E), 0.0)

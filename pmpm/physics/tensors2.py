@@ -133,6 +133,11 @@ def adjugate_symmetric(S):
     return (S[2], -S[1], S[0])
 
 
+def not_positive_definite(S):
+    """Whether a symmetric S has an eigenvalue at or below zero, by Sylvester's minors; false for nan."""
+    return (S[0] <= 0.0) | (det_symmetric(S) <= 0.0)
+
+
 def inverse_symmetric(S):
     """S^-1 of a positive definite S; for any other S it means nothing, but divides by no zero."""
     return scale_plus_diagonal(1.0 / max(det_symmetric(S), TINY), adjugate_symmetric(S), 0.0)
@@ -288,6 +293,11 @@ def polar(F):
     return R
 
 
+def into_range(t, low, high):
+    """What brings each principal value to between `low` and `high`: exactly zero where it is there."""
+    return (min(max(t[0], low), high) - t[0], min(max(t[1], low), high) - t[1])
+
+
 def symmetric_part(state):
     """The symmetric tensor that a particle's state begins with."""
     return (state[0], state[1], state[2])
@@ -338,6 +348,19 @@ def norm_solid(E):
 def scale_plus_diagonal_solid(a, E, d):
     """a E + d I for a solid E."""
     return (a * E[0] + d, a * E[1], a * E[2] + d, a * E[3] + d)
+
+
+def where_solid(condition, A, B):
+    """A where the condition holds, else B, both solid."""
+    return where_symmetric(condition, A, B) + (where(condition, A[3], B[3]),)
+
+
+def add_solid(A, B):
+    return (A[0] + B[0], A[1] + B[1], A[2] + B[2], A[3] + B[3])
+
+
+def det_solid(E):
+    return (E[0] * E[2] - E[1] * E[1]) * E[3]
 
 
 def eigen_solid(E):

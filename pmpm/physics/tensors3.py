@@ -205,6 +205,11 @@ def det_symmetric(S):
     return S[0] * A[0] + S[1] * A[1] + S[2] * A[2]
 
 
+def not_positive_definite(S):
+    """Whether a symmetric S has an eigenvalue at or below zero, by Sylvester's minors; false for nan."""
+    return (S[0] <= 0.0) | (S[0] * S[3] - S[1] * S[1] <= 0.0) | (det_symmetric(S) <= 0.0)
+
+
 def inverse_symmetric(S):
     """S^-1 of a positive definite S; for any other S it means nothing, but divides by no zero."""
     return scale_plus_diagonal(1.0 / max(det_symmetric(S), TINY), adjugate_symmetric(S), 0.0)
@@ -496,6 +501,15 @@ def polar(F):
     return R
 
 
+def into_range(t, low, high):
+    """What brings each principal value to between `low` and `high`: exactly zero where it is there."""
+    return (
+        min(max(t[0], low), high) - t[0],
+        min(max(t[1], low), high) - t[1],
+        min(max(t[2], low), high) - t[2],
+    )
+
+
 def symmetric_part(state):
     """The symmetric tensor that a particle's state begins with."""
     return (state[0], state[1], state[2], state[3], state[4], state[5])
@@ -546,6 +560,19 @@ def norm_solid(E):
 def scale_plus_diagonal_solid(a, E, d):
     """a E + d I for a solid E."""
     return scale_plus_diagonal(a, E, d)
+
+
+def where_solid(condition, A, B):
+    """A where the condition holds, else B, both solid."""
+    return where_symmetric(condition, A, B)
+
+
+def add_solid(A, B):
+    return add_symmetric(A, B)
+
+
+def det_solid(E):
+    return det_symmetric(E)
 
 
 def eigen_solid(E):

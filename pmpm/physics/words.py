@@ -10,6 +10,8 @@ HALLEY_STEPS = 4  # towards the sum of three stretches: 4 in float64, 3 in float
 # Coefficients of power series, the highest power first. At x = 0.5, y = 0.25 what is left out is a tenth of eps or less:
 # 18 and 25 terms in float64, 11 and 11 in float32.
 EXPM1_OF_TWICE = (*(2.0**n / math.factorial(n) for n in range(18, 0, -1)), 0.0)  # exp(2 x) - 1
+# exp(2 x) - exp(x): 16 terms in float64, 10 in float32, for |x| up to 0.36.
+EXP_OF_TWICE_LESS_EXP = (*((2.0**n - 1.0) / math.factorial(n) for n in range(16, 0, -1)), 0.0)
 ATANH_OVER_ROOT = tuple(1.0 / (2 * n + 1) for n in range(24, -1, -1))  # atanh(sqrt y) / sqrt y
 NAN = math.nan
 

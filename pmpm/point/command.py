@@ -6,13 +6,13 @@ import math
 import numpy as np
 from pydantic import ValidationError
 
-from pmpm.physics.materials import LAWS, PLANNED
+from pmpm.physics.materials import LAWS
 from pmpm.physics.materials.examples import EXAMPLES
 from pmpm.point import report
 from pmpm.point.driver import Point, Record, drive, follow
 from pmpm.point.paths import NONE, PATHS, REQUIRED, courses
 from pmpm.scene import files
-from pmpm.scene.errors import NotBuilt, SceneError
+from pmpm.scene.errors import SceneError
 from pmpm.scene.materials import MODELS
 from pmpm.scene.messages import known_text, problems_in, scene_error, value_text
 from pmpm.scene.schema import Scene
@@ -79,8 +79,6 @@ def chosen_material(options):
     if model in LAWS:
         example = EXAMPLES.get(model)
         return model, complete_keys(model, settings), options.dimension or DIMENSION, example.path if example else {}
-    if model in PLANNED:
-        raise NotBuilt(f"point {model}: is not built yet; {known_text('', LAWS, 'built so far')}")
     if model in files.builtin_scenes() or model.endswith(".toml"):
         raise SceneError(f"point {model}: is a scene; name one of its materials: {model}:NAME")
     raise SceneError(f"point {model}: is no material model; {models_text(model)}, or SCENE:MATERIAL")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, create_model, model_validator
 
-from pmpm.physics.materials import LAWS, PLANNED, law_of, python_law
+from pmpm.physics.materials import LAWS, law_of, python_law
 from pmpm.physics.materials.keys import Key
 from pmpm.scene import functions
 from pmpm.scene.messages import TAG, Problem, Problems, known_text, problems_in
@@ -168,7 +168,7 @@ def check_material(value: Any) -> Any:
         name = value["model"].split(":")[1]
         text = f"is a Python function, which a file does not hold: give {name} as the model, from Python"
         raise Problems(Problem(("model",), text, value["model"]))
-    check_word(value["model"], MODELS, PLANNED, ("model",))
+    check_word(value["model"], MODELS, path=("model",))
     return value
 
 

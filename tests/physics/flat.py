@@ -1,5 +1,7 @@
 """The physics' flat tuples as numpy matrices and back, and random tensors that the tests share."""
 
+from functools import cache
+
 import numpy as np
 
 from pmpm.kernels import targets
@@ -35,6 +37,7 @@ def flat_symmetric(A):
     return tuple(float(A[i, j]) for i, j in UPPER[len(A)])
 
 
+@cache
 def in_dimension(function, dim, **choices):
     """`function` of the physics in plain Python with the tensor words of this dimension."""
     return targets.plain(la=WORDS[dim], **choices).compile(function)

@@ -1,4 +1,4 @@
-"""Neo-Hookean and fixed corotated solids, weakly compressible fluid and sand's Hencky elasticity.
+"""Solids, weakly compressible fluid and the Hencky elasticity of sand and soil.
 
 Stress against energy, limits, waves.
 """
@@ -14,7 +14,6 @@ from flat import (
     flat_symmetric,
     full,
     in_dimension,
-    of_eigenvalues,
     random_rotation,
     random_stretch,
     symmetric,
@@ -24,19 +23,24 @@ from pmpm.kernels import targets
 from pmpm.physics.materials import LAWS
 
 DIMS = (2, 3)
-MODELS = ("neo_hookean", "fixed_corotated", "fluid", "drucker_prager")
+MODELS = ("neo_hookean", "fixed_corotated", "hencky", "fluid", "drucker_prager", "mohr_coulomb")
 KEEP_F = ("neo_hookean", "fixed_corotated")  # laws whose state is the deformation gradient
+ELASTIC = {"density": 1000.0, "youngs_modulus": 1e6, "poisson_ratio": 0.3}
 KEYS = {
-    "neo_hookean": {"density": 1000.0, "youngs_modulus": 1e6, "poisson_ratio": 0.3},
-    "fixed_corotated": {"density": 1000.0, "youngs_modulus": 1e6, "poisson_ratio": 0.3},
+    "neo_hookean": ELASTIC,
+    "fixed_corotated": ELASTIC,
+    "hencky": ELASTIC,
     "fluid": {"density": 1000.0, "bulk_modulus": 1e6, "gamma": 7.0, "viscosity": 0.0, "tension_cutoff": True},
     "drucker_prager": {
         "density": 2000.0,
         "youngs_modulus": 1e6,
         "poisson_ratio": 0.3,
         "friction_angle": 30.0,
+        "cohesion": 0.0,
+        "dilatancy_angle": 0.0,
         "volume_correction": True,
     },
+    "mohr_coulomb": ELASTIC | {"friction_angle": 30.0, "cohesion": 1e9, "dilatancy_angle": 0.0},  # elastic all the way
 }
 MU, LAM = 1e6 / 2.6, 0.3e6 / (1.3 * 0.4)  # of E = 1 MPa, nu = 0.3
 CASES = [(model, dim) for model in MODELS for dim in DIMS]
@@ -56,11 +60,7 @@ class Law:
 
     def state(self, F):
         """The state of a particle that was deformed elastically by F."""
-        if self.model in KEEP_F:
-            return flat(F)
-        if self.model == "fluid":
-            return (float(np.linalg.det(F)),)
-        return (*flat_symmetric(of_eigenvalues(F @ F.T, lambda b: 0.5 * np.log(b))), 0.0)
+        return self("state_at", flat(F), self.params)
 
     def tau(self, F):
         return symmetric(self("kirchhoff_stress", self.state(F), self.params))
@@ -129,7 +129,7 @@ def test_stress_turns_with_the_body_and_not_with_the_material(model, dim):
         assert abs(law.energy(Q @ F @ Q.T) - law.energy(F)) < scale
 
 
-@pytest.mark.parametrize("model", [*KEEP_F, "drucker_prager"])
+@pytest.mark.parametrize("model", [*KEEP_F, "hencky", "drucker_prager", "mohr_coulomb"])
 @pytest.mark.parametrize("dim", DIMS)
 def test_small_strain_limit_is_hookes_law(dim, model):
     law, random, small = Law(model, dim), np.random.default_rng(4), 1e-7
@@ -186,9 +186,9 @@ def squared_waves(law, F, n):
     return np.linalg.eigvals(np.array(columns).T).real
 
 
-def waves_and_bound(model, dim, largest, count=15):
+def waves_and_bound(model, dim, largest, count=15, **keys):
     """Pairs (largest rho0 c^2 over directions, bound) for random elastic deformations, fluids compressed."""
-    law, random = Law(model, dim), np.random.default_rng(7)
+    law, random = Law(model, dim, **keys), np.random.default_rng(7)
     for _ in range(count):
         F = deformation(random, dim, largest)
         if model == "fluid":
@@ -203,6 +203,14 @@ def waves_and_bound(model, dim, largest, count=15):
 @pytest.mark.parametrize(("model", "dim"), CASES)
 def test_no_wave_is_faster_than_the_bound(model, dim, largest):
     for fastest, bound in waves_and_bound(model, dim, largest):
+        assert fastest <= bound * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("poisson_ratio", [-0.6, 0.0, 0.45])
+@pytest.mark.parametrize("largest", [0.3, 2.0])
+@pytest.mark.parametrize("dim", DIMS)
+def test_no_wave_in_a_hencky_solid_is_faster_than_the_bound_at_any_strain(dim, largest, poisson_ratio):
+    for fastest, bound in waves_and_bound("hencky", dim, largest, poisson_ratio=poisson_ratio):
         assert fastest <= bound * (1.0 + 1e-6)
 
 
@@ -427,6 +435,16 @@ def test_in_float32_a_corotated_stress_errs_by_the_round_off_of_stretches_of_one
     found = target.compile(law.module.kirchhoff_stress)(tuple(F.T), tuple(map(np.float32, law.params)))
     expected = np.array([flat_symmetric(law.tau(row.reshape(dim, dim).astype(float))) for row in F]).T
     assert np.abs(np.subtract(found, expected)).max() <= 10.0 * eps * 1e6
+
+
+@pytest.mark.parametrize("dim", DIMS)
+def test_stretching_a_hencky_solid_along_an_axis_gives_its_closed_form(dim):
+    # tau = (lam + 2 mu) ln F along the axis, lam ln F across: largest nominal stress where ln F = 1.
+    law = Law("hencky", dim)
+    F = np.eye(dim)
+    F[0, 0] = np.e
+    expected = np.diag([LAM + 2.0 * MU, LAM, LAM][:dim])
+    assert np.abs(law.tau(F) - expected).max() < 1e-14 * 1e6 * dim
 
 
 @pytest.mark.parametrize("gamma", [1.0, 4.0, 7.0])

@@ -66,6 +66,17 @@ def corotated(old, new):
     return change(old, new, solid("neo_hookean", "fixed_corotated"))
 
 
+SOIL = 'model = "mohr_coulomb"\ncohesion = 1e3\nfriction_angle = 30.0\n'
+
+
+def soil(keys):
+    return solid('model = "neo_hookean"', keys)
+
+
+def snow(keys):
+    return solid('model = "neo_hookean"', 'model = "snow"\n' + keys)
+
+
 BOX = '{ type = "box", min = [0.0, 0.0], max = [0.1, 0.1] }'
 DISK = '{ type = "sphere", center = [0.3, 0.1], radius = 0.05 }'
 CYLINDER = '{ type = "cylinder", center = [0.15, 0.15, 0.05], axis = "z", radius = 0.05, height = 0.05 }'
@@ -290,6 +301,94 @@ BROKEN = [
     ("steep friction", change(ANGLE, "friction_angle = 90.0"), ["sand.friction_angle = 90.0", ">= 0 and < 90 deg"]),
     ("friction fit", change(ANGLE, ANGLE + '\nfriction_fit = "plane"'), ['friction_fit = "plane"', "plane_strain?"]),
     ("flag as a number", change(ANGLE, ANGLE + "\nvolume_correction = 1"), ["volume_correction = 1", "true or false"]),
+    ("negative cohesion", change(ANGLE, ANGLE + "\ncohesion = -5.0"), ["materials.sand.cohesion = -5.0", ">= 0 Pa"]),
+    (
+        "dilatancy of 90 degrees",
+        change(ANGLE, ANGLE + "\ndilatancy_angle = 90.0"),
+        ["materials.sand.dilatancy_angle = 90.0", ">= 0 and < 90 deg"],
+    ),
+    (
+        "dilatancy above friction",
+        change(ANGLE, ANGLE + "\ndilatancy_angle = 31.0"),
+        ["materials.sand", "dilatancy_angle = 31 deg", "at most friction_angle = 30 deg", "give energy"],
+    ),
+    (
+        "incompressible hencky",
+        solid("poisson_ratio = 0.3", "poisson_ratio = 0.5").replace("neo_hookean", "hencky"),
+        ["materials.block.poisson_ratio = 0.5", "> -1 and < 0.5"],
+    ),
+    (
+        "hencky without stiffness",
+        solid("youngs_modulus = 1e4", "youngs_modulus = -1e4").replace("neo_hookean", "hencky"),
+        ["materials.block.youngs_modulus = -1", "> 0 Pa"],
+    ),
+    (
+        "hencky with a yield stress",
+        solid("poisson_ratio = 0.3", "poisson_ratio = 0.3\nyield_stress = 1.0").replace("neo_hookean", "hencky"),
+        ["materials.block.yield_stress is not a known key"],
+    ),
+    (
+        "soil without cohesion",
+        soil(SOIL.replace("cohesion = 1e3\n", "")),
+        ["materials.block.cohesion is missing", "(Pa)"],
+    ),
+    ("steep soil", soil(SOIL.replace("30.0", "90.0")), ["materials.block.friction_angle = 90.0", ">= 0 and < 90 deg"]),
+    (
+        "soil that dilates too much",
+        soil(SOIL + "dilatancy_angle = 35.0"),
+        ["materials.block", "dilatancy_angle = 35 deg", "at most friction_angle = 30 deg", "give energy"],
+    ),
+    (
+        "softened soil that dilates too much",
+        soil(SOIL + "dilatancy_angle = 20.0\nresidual_friction_angle = 15.0\nsoftening_strain = 0.1"),
+        ["dilatancy_angle = 20 deg", "at most residual_friction_angle = 15 deg"],
+    ),
+    (
+        "softening without strain",
+        soil(SOIL + "residual_cohesion = 10.0"),
+        ["materials.block", "residual_cohesion = 10 needs softening_strain"],
+    ),
+    (
+        "softening to nothing",
+        soil(SOIL + "softening_strain = 0.1"),
+        ["materials.block", "softening_strain = 0.1 needs residual_cohesion (Pa) or residual_friction_angle (deg)"],
+    ),
+    (
+        "no softening strain",
+        soil(SOIL + "residual_cohesion = 10.0\nsoftening_strain = 0.0"),
+        ["materials.block.softening_strain = 0.0", "> 0"],
+    ),
+    (
+        "hardening cohesion",
+        soil(SOIL + "residual_cohesion = 2e3\nsoftening_strain = 0.1"),
+        ["materials.block", "residual_cohesion = 2000 Pa", "at most cohesion = 1000 Pa"],
+    ),
+    (
+        "hardening friction",
+        soil(SOIL + "residual_friction_angle = 40.0\nsoftening_strain = 0.1"),
+        ["materials.block", "residual_friction_angle = 40 deg", "at most friction_angle = 30 deg"],
+    ),
+    (
+        "snow without limit in compression",
+        snow("critical_compression = 1.0"),
+        ["materials.block.critical_compression = 1.0", "> 0 and <= 0.3"],
+    ),
+    (
+        "snow that never stretches",
+        snow("critical_stretch = 0.0"),
+        ["materials.block.critical_stretch = 0.0", "> 0 and <= 0.3"],
+    ),
+    ("snow too hard", snow("hardening = 100.0"), ["materials.block.hardening = 100.0", ">= 0 and <= 50"]),
+    (
+        "snow capped below fresh snow",
+        snow("largest_hardening = 0.5"),
+        ["materials.block.largest_hardening = 0.5", ">= 1"],
+    ),
+    (
+        "snow with a cap of no hardening",
+        snow("hardening = 0.0\nlargest_hardening = 5.0"),
+        ["materials.block", "largest_hardening = 5 has nothing to cap", "hardening = 0"],
+    ),
     ("no stiffness of fluid", change(SOUND, ""), ["materials.water", "exactly one of sound_speed"]),
     ("two of fluid", change(SOUND, SOUND + "\nbulk_modulus = 1e5"), ["materials.water", "exactly one of sound_speed"]),
     ("unknown material", change('material = "sand"', 'material = "sind"'), ['bodies[0].material = "sind"', "sand?"]),
@@ -335,8 +434,6 @@ BROKEN = [
 
 NOT_BUILT = [
     ("open wall", change('x_min = "slip"', 'x_min = "open"'), ['domain.walls.x_min = "open" is not built yet']),
-    ("snow", change('"fluid"', '"snow"'), ['materials.water.model = "snow" is not built yet']),
-    ("cohesion", change(ANGLE, ANGLE + "\ncohesion = 5.0"), ["materials.sand.cohesion = 5.0 Pa is not built yet"]),
     ("mesh", change('"box"', '"mesh"'), ['bodies[0].shape.type = "mesh" is not built yet']),
     ("colliders", GOOD + '[[colliders]]\ntype = "plane"\n', ["colliders = ", "is not built yet"]),
     (

@@ -18,23 +18,28 @@ from pmpm.physics.materials import (
     drucker_prager,
     fixed_corotated,
     fluid,
+    hencky,
+    mohr_coulomb,
     mu_i,
     neo_hookean,
     python_law,
+    snow,
     von_mises,
 )
 
 LAWS = {
     "neo_hookean": neo_hookean,
     "fixed_corotated": fixed_corotated,
+    "hencky": hencky,
     "fluid": fluid,
     "drucker_prager": drucker_prager,
+    "mohr_coulomb": mohr_coulomb,
     "von_mises": von_mises,
     "cam_clay": cam_clay,
+    "snow": snow,
     "mu_i": mu_i,
     "bingham": bingham,
 }
-PLANNED = ("hencky", "snow")
 
 
 def law_of(model):
