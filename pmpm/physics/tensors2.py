@@ -181,6 +181,16 @@ def each(function, t):
     return (function(t[0]), function(t[1]))
 
 
+def tensor_part(state):
+    """The tensor that a particle's state begins with."""
+    return state[:4]
+
+
+def after_tensor(state):
+    """The numbers that follow a tensor in a particle's state."""
+    return state[4:]
+
+
 def symmetric_part(state):
     """The symmetric tensor that a particle's state begins with."""
     return (state[0], state[1], state[2])

@@ -20,7 +20,9 @@ from pmpm.scene.values import choice, number
 from pmpm.state.fields import Layout
 
 STRAIN = 1e-5  # of central differences: 1e-10 of error from their step and from rounding
-SINGULAR = 1e-8  # directions in which a law is softer than this part of its stiffness carry nothing, as the shear of a fluid
+SINGULAR = (
+    1e-8  # directions in which a law is softer than this part of its stiffness carry nothing, as the shear of a fluid
+)
 STEPS, HALVINGS, LONGEST = 60, 12, 0.5
 ENOUGH, NOISE = 1e-10, 1e-13  # of the stress wanted and of the stiffness: where the search ends
 ACCEPTED, ACCEPTED_NOISE = 1e-7, 1e-12
@@ -69,7 +71,7 @@ def depths(shape: Any, gravity: Any, surface: float, count: int) -> np.ndarray:
     """Return `count` depths (m) from just below the top of a shape to its bottom."""
     axis, up = vertical(gravity)
     low, high = shape.bounds()
-    top, bottom = ((high, low) if up > 0.0 else (low, high))
+    top, bottom = (high, low) if up > 0.0 else (low, high)
     places = np.linspace(bottom[axis], top[axis], count, endpoint=False)[::-1]
     return (surface - places) * up
 
@@ -80,7 +82,7 @@ def states(law: ArrayLaw, stress: Geostatic, density: float, gravity: Any, depth
     different, inverse = np.unique(depth, return_inverse=True)
     weight = density * abs(gravity[axis]) * np.maximum(different, 0.0) + stress.surcharge
     entries = law.dim + (out_of_plane_place(law) is not None)
-    wanted = np.repeat(-stress.k0 * weight[:, None], entries, axis=1)
+    wanted = np.repeat(-(stress.k0 or 0.0) * weight[:, None], entries, axis=1)
     wanted[:, axis] = -weight
     y, stiffness = search(law, wanted)
     found, extra = stresses(law, y)
@@ -91,7 +93,9 @@ def states(law: ArrayLaw, stress: Geostatic, density: float, gravity: Any, depth
     complain(~reached, different, f"cannot be carried by {law.needs.model}", stress)
     still = (np.zeros(len(y)),) * law.dim**2
     later = rows(law.call("advance", columns_of(state), still, LONG, law.params), len(y))
-    change = np.abs(np.concatenate(stresses_of(law, later), axis=1) - np.concatenate((found, extra), axis=1)).max(axis=1)
+    change = np.abs(np.concatenate(stresses_of(law, later), axis=1) - np.concatenate((found, extra), axis=1)).max(
+        axis=1
+    )
     kept = change <= YIELDS * size + YIELDS_NOISE * stiffness
     complain(~kept, different, f"is outside the yield surface of {law.needs.model}", stress)
     return state[inverse.reshape(-1)]

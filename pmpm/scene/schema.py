@@ -319,15 +319,17 @@ class Scene(Part):
         )
 
     def complete_stress(self, body: Body) -> Geostatic | None:
-        stress, material = body.stress, self.materials[body.material]
-        if stress is None:
+        if body.stress is None:
             return None
-        k0, surface = stress.k0, stress.depth_from
-        defaults = {
-            "k0": geostatic.default_k0(law_of(material.model), material.parameters) if k0 is None else k0,
-            "depth_from": geostatic.free_surface(body.shape, self.domain.gravity) if surface is None else surface,
-        }
-        return stress.model_copy(update=defaults)
+        surface = body.stress.depth_from
+        if surface is None:
+            surface = geostatic.free_surface(body.shape, self.domain.gravity)
+        return body.stress.model_copy(update={"k0": self.k0(body), "depth_from": surface})
+
+    def k0(self, body: Body) -> float | None:
+        material = self.materials[body.material]
+        given = body.stress.k0 if body.stress is not None else None
+        return geostatic.default_k0(law_of(material.model), material.parameters) if given is None else given
 
     def complete_output(self) -> Output:
         snapshots, diagnostics = self.output.snapshot_interval, self.output.diagnostics_interval
@@ -371,10 +373,9 @@ class Scene(Part):
         elif (body.pressure != "zero" or body.stress is not None) and np.count_nonzero(self.domain.gravity) != 1:
             gravity = value_text(self.domain.gravity)
             yield Problem((*here, key), f"needs gravity along exactly one axis; domain.gravity = {gravity} m/s2", value)
-        elif body.stress is not None and body.stress.k0 is None:
-            if geostatic.default_k0(law, material.parameters) is None:
-                text = f"is missing: {model} has neither a friction angle nor a Poisson ratio from which to find it"
-                yield Problem((*here, "stress", "k0"), text)
+        elif body.stress is not None and self.k0(body) is None:
+            text = f"is missing: {model} has neither a friction angle nor a Poisson ratio from which to find it"
+            yield Problem((*here, "stress", "k0"), text)
 
     def wrong_start(self, body: Body, index: int) -> Iterator[Problem]:
         """Yield what shows when the functions and the stress that a body starts with are tried on a few particles."""
@@ -383,7 +384,7 @@ class Scene(Part):
         for problem in start.wrong_functions(body, shapes, law):
             yield Problem(("bodies", index, *problem.path), problem.text, problem.value)
         if body.stress is not None:
-            gravity, surface = self.domain.gravity, body.stress.depth_from
+            gravity, surface = self.domain.gravity, body.stress.depth_from or 0.0
             tried = geostatic.depths(body.shape, gravity, surface, DEPTHS)
             density = self.materials[body.material].parameters["density"]
             try:

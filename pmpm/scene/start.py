@@ -164,7 +164,7 @@ def fingerprint(value: Any, above: tuple[Any, ...] = ()) -> str:
     if callable(getattr(value, "__func__", None)):
         return f"method {inside(value.__func__)}{inside(value.__self__)}"
     own = {} if isinstance(value, type) or hasattr(value, "__spec__") else getattr(value, "__dict__", {})
-    call = getattr(type(value), "__call__", None) if callable(value) else None
+    call = vars(type(value)).get("__call__")
     named = getattr(value, "__qualname__", getattr(value, "__name__", ""))
     return f"{type(value).__qualname__} {named}{inside(own)}{inside(call) if isinstance(call, FunctionType) else ''}"
 
