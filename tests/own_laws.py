@@ -19,9 +19,10 @@ def stress(F, damage, mu, lam):
 
 
 def grow(F, G, dt, damage, most, mu, lam, strength=1e3):
-    """Damage after a step, which never heals, and the largest energy and time so far."""
+    """Damage after a step, which never heals; and the largest load (energy over strength) and the time so far."""
     F = la.add(F, la.matmul(G, F))
-    return F, max(damage, 1.0 - exp(-stored(F, mu, lam) / strength)), (max(most[0], stored(F, mu, lam)), most[1] + dt)
+    load = stored(F, mu, lam) / strength
+    return F, max(damage, 1.0 - exp(-load)), (max(most[0], load), most[1] + dt)
 
 
 def energy(F, damage, mu, lam):

@@ -18,6 +18,7 @@ from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_err
 from pmpm.scene.part import Part
 from pmpm.scene.shapes import AXES, Shape, wrong_length
 from pmpm.scene.values import check_word, choice, names, number, tables, text, vector, whole
+from pmpm.state.fields import Field as StoredField
 
 WALLS = ("stick", "slip", "separate", "friction", "free")
 PLANNED_WALLS = ("open",)
@@ -393,9 +394,14 @@ class Scene(Part):
                 yield Problem(("bodies", index, "stress"), str(complaint))
 
     def wrong_fields(self) -> Iterator[Problem]:
-        laws = [(law_of(material.model), material.parameters) for material in self.materials.values()]
-        states = [field.name for law, parameters in laws for field in law.state_fields(parameters)]
-        known = list(dict.fromkeys((*FIELDS, *states)))
+        sizes: dict[str, int] = {}
+        for name, material in self.materials.items():
+            for field in law_of(material.model).state_fields(material.parameters):
+                size = StoredField.of(field).size(self.dim)
+                if sizes.setdefault(field.name, size) != size:
+                    text = f"keeps {size} numbers as {field.name}, another law of the scene {sizes[field.name]}: rename one"
+                    yield Problem(("materials", name, "model"), text)
+        known = list(dict.fromkeys((*FIELDS, *sizes)))
         for index, name in enumerate(self.output.fields):
             if name not in known:
                 near = known_text(name, known, "fields of this scene")
