@@ -25,7 +25,7 @@ def explain(scene, ranks):
             raise SceneError(f"scene: bodies[{number}] holds no particle")
     total = int(counts.sum())
     real_bytes = np.dtype(needs.precision).itemsize
-    layouts = [Layout.of(law, scene.dim) for law in needs.laws]
+    layouts = [Layout.of(law, scene.dim, needs.carried(law)) for law in needs.laws]
     per_particle = max(layout.size for layout in layouts) * real_bytes + 8
     nodes = math.prod(geometry.extent(axis) for axis in range(scene.dim))
     dt = estimated_step(scene, needs, [law_table(scene, law) for law in needs.laws])

@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from pmpm.kernels import loops
-from pmpm.state.fields import COMMON
 
 
 class NumericalFailure(Exception):  # noqa: N818
@@ -17,7 +16,7 @@ def describe(simulation, law, block, lane, cause):
     population, layout = simulation.populations[law], simulation.layouts[law]
     index = int(np.flatnonzero(population.lanes.ravel()).searchsorted(block * population.lanes.shape[1] + lane))
     x = simulation.derived_of(law, np.float64).x()[index]
-    state = {f.name: population.reals[block, layout.where(f.name), lane] for f in layout.fields[len(COMMON) :]}
+    state = {f.name: population.reals[block, layout.where(f.name), lane] for f in layout.state}
     body = int(population.block_row[block])
     return {
         "step": simulation.step_count + 1,

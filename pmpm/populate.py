@@ -29,7 +29,26 @@ def count_per_layer(simulation):
     return counts.sum(axis=0)
 
 
-def cloud(simulation, law, seeds):
+def load_accelerations(simulation, seeds):
+    """[(n, dim) m/s2] by the loads, per body for its seeds. Collective. Raises SceneError for a load on nothing."""
+    scene, geometry = simulation.scene, simulation.geometry
+    found = [np.zeros((len(body_seeds.id), geometry.dim)) for body_seeds in seeds]
+    volumes = [geometry.cell_size**geometry.dim / body.particles_per_cell for body in scene.bodies]
+    for number, load in enumerate(scene.loads):
+        inside = [load.shape.contains((s.node + s.offset) * geometry.cell_size) for s in seeds]
+        counts = simulation.comm.sum(np.array([np.count_nonzero(here) for here in inside]))
+        volume = float(counts @ np.array(volumes))
+        if volume == 0.0:
+            raise SceneError(f"scene: loads[{number}].shape holds no particle at the start")
+        for body, here, total in zip(scene.bodies, inside, found, strict=True):
+            if load.force is None:
+                total[here] += load.acceleration
+            else:
+                total[here] += np.array(load.force) / (volume * scene.materials[body.material].parameters["density"])
+    return found
+
+
+def cloud(simulation, law, seeds, loads):
     """The particles of one law at the start, as rows; displaced ones lie in layers of any rank. Collective.
 
     Raises SceneError, on all ranks, where a function of the scene fails or a particle starts outside the domain.
@@ -39,7 +58,8 @@ def cloud(simulation, law, seeds):
         material = simulation.scene.materials[body.material]
         if law_needs(material.model, material.parameters) != simulation.needs.laws[law]:
             continue
-        body_seeds = by_layer(simulation, body_seeds)
+        order = by_layer(simulation, body_seeds)
+        body_seeds = body_seeds.take(order)
         count = len(body_seeds.id)
         reals = np.zeros((count, layout.size), simulation.real)
         seeded = Cloud(reals, body_seeds.node, np.full(count, number, np.int32), body_seeds.id)
@@ -55,6 +75,10 @@ def cloud(simulation, law, seeds):
                 seeded.places[:, : simulation.dim] = simulation.needs.places.from_cells(offset)
             except Unfit as complaint:
                 complaints.append(f"scene: bodies[{number}].{key}{shown(getattr(body, key))} {complaint}")
+        if layout.where("load"):
+            reals[:, layout.where("load")] = loads[number][order]
+        if layout.where("X"):
+            reals[:, layout.where("X")] = reference_positions(simulation, body_seeds)
         parts.append(seeded)
         # Lower ranks own lower layers, so that the first complaint is the same for any number of ranks.
         told = [complaint for rank in simulation.comm.gather(complaints) for complaint in rank]
@@ -68,9 +92,8 @@ def shown(value):
 
 
 def by_layer(simulation, seeds):
-    """The seeds of one body, layer after layer: an order in which no rank count shows."""
-    order = np.argsort(seeds.node[:, simulation.geometry.axes[0]], kind="stable")
-    return seeding.Seeds(seeds.node[order], seeds.offset[order], seeds.id[order])
+    """Permutation of the seeds of one body, layer after layer: an order in which no rank count shows."""
+    return np.argsort(seeds.node[:, simulation.geometry.axes[0]], kind="stable")
 
 
 def reference_positions(simulation, seeds):

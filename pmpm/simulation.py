@@ -16,9 +16,9 @@ import time as clock
 import numpy as np
 
 from pmpm import failure, populate, readout
+from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
-from pmpm.kernels.lanes import WIDTH
 from pmpm.kernels.loops import EMPTY_BOX, FARTHEST, SETTLED
 from pmpm.kernels.places import TRAVEL
 from pmpm.parallel import comm as communication
@@ -50,12 +50,12 @@ class Simulation:
         self.needs = scene_needs(scene)
         self.geometry = grid_geometry(scene, self.needs)
         self.material_names = list(scene.materials)
-        self.layouts = [Layout.of(law, self.dim) for law in self.needs.laws]
+        self.layouts = [Layout.of(law, self.dim, self.needs.carried(law)) for law in self.needs.laws]
         self.tables = [law_table(scene, law) for law in self.needs.laws]
         self.kernel_tables = [table.astype(self.real) for table in self.tables]
         self.gravity = np.array(scene.domain.gravity)
-        self.has_gravity = bool(self.gravity.any())
-        self.gravity_row = np.tile(np.append(self.gravity, np.zeros(4 - self.dim)), WIDTH // 4).astype(self.real)
+        self.drive = Drive(scene, self.real)
+        self.blend = self.real(scene.method.flip_blend or 0.0)
         self.dx, self.inv_dx = self.real(scene.domain.cell_size), self.real(1.0 / scene.domain.cell_size)
         self.wraps = any(self.geometry.periodic[axis] for axis in self.geometry.axes[1:] if axis >= 0)
         self.limits, self.ends = domain_limits(scene, self.geometry)
@@ -75,7 +75,8 @@ class Simulation:
         self.cut(cut_evenly(populate.count_per_layer(self), self.comm.size, self.needs.stencil.window))
         self.in_turn(self.warm_up_regroup)
         seeds = seeding.seed(self.scene, self.geometry, self.first_layer, self.last_layer)
-        seeded = [Loose.of_rows(populate.cloud(self, law, seeds)) for law in range(len(self.needs.laws))]
+        loads = populate.load_accelerations(self, seeds)
+        seeded = [Loose.of_rows(populate.cloud(self, law, seeds, loads)) for law in range(len(self.needs.laws))]
         arrived, _ = migrate(seeded, self.geometry.axes[0], self.slabs, self.comm)  # of displaced bodies
         self.settle_in(seeded, arrived)
         self.control = StepControl(
@@ -99,9 +100,12 @@ class Simulation:
             self.geometry.layers, self.geometry.periodic[slab_axis], stencil.reach_low, stencil.reach_high, edges
         )
         self.first_layer, self.last_layer = self.slabs.owned(self.comm.rank)
-        self.patch = Patch(self.geometry, self.first_layer, self.last_layer, len(self.needs.laws), self.real)
+        self.patch = Patch(
+            self.geometry, self.first_layer, self.last_layer, len(self.needs.laws), self.real, self.needs.scheme.blends
+        )
         self.halo = Halo(self.comm, self.slabs, self.patch, self.kernels)
         self.walls = patch_walls(self.scene, self.geometry, self.patch, self.real)
+        self.drive.meet(self.geometry, self.patch, self.walls)
 
     def settle_in(self, loose, arrived):
         """Order particles of each law that lie in this rank's layers: those at hand and (from lower, from higher ranks)."""
@@ -146,6 +150,8 @@ class Simulation:
         self.settle_in(loose, [None] * len(loose))
 
     def warm_up(self):
+        if self.needs.scheme.blends:
+            self.scatter(0, 0, 0.0, self.kernels.p2g_before)
         self.scatter(0, 0, 0.0)
         self.update_planes(0, 0, 0.0)
         self.g2p(0, 0, self.real(0), np.zeros(4))
@@ -154,8 +160,8 @@ class Simulation:
         nothing, normal, none = (0,) * 9, np.zeros(self.dim, self.real), self.real(0)
         nodes, boxes = self.patch.nodes, self.patch.boxes
         for wall, image in zip(self.kernels.walls.values(), self.kernels.images.values(), strict=True):
-            wall(nodes, boxes, *nothing, normal, none)
-            image(nodes, boxes, *nothing, normal)
+            wall(nodes, boxes, *nothing, normal, none, normal)
+            image(nodes, boxes, *nothing, normal, normal)
 
     def fastest(self):
         """(max |v|^2, max c^2) of this rank's particles; a particle that is not a number stops the run, not this."""
@@ -208,6 +214,10 @@ class Simulation:
         extremes[3] = -math.inf
         self.failed.clear()
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
+        self.drive.start(self.time)
+        if self.needs.scheme.blends:
+            self.keep_velocities(dt)
+            now = self.timers.add("p2g before", now)
         runs = self.scatter(0, layers, dt)
         self.control.disorder.start(self.step_count + 1, runs, self.held)
         now = self.timers.add("p2g", now)
@@ -233,10 +243,22 @@ class Simulation:
             self.failure = failure.describe(self, *min(self.failed))
         if self.failure is not None:
             extremes[3] = -self.failure["step"]
+        self.drive.finish(dt)
         self.control.start(self.step_count + 1, float(dt), extremes)
         self.timers.add("g2p", now)
 
-    def scatter(self, first, last, dt):
+    def keep_velocities(self, dt):
+        """Fill the grid without impulses and keep its velocities: what a blend takes from those after the step.
+
+        Walls act as they will, so that their images are on both sides of the difference; only friction is an impulse.
+        """
+        self.scatter(0, self.last_layer - self.first_layer, dt, self.kernels.p2g_before)
+        self.halo.finish(self.halo.start())
+        self.widen_boxes()
+        self.update_planes(0, self.patch.planes, dt, driven=False)
+        self.patch.before[:] = self.patch.nodes
+
+    def scatter(self, first, last, dt, p2g=None):
         """Particles of layers first .. last - 1 (this rank's counting) to nodes; forgets what the nodes held.
 
         Returns the number of runs of particles with the same stencil.
@@ -247,28 +269,33 @@ class Simulation:
         patch.layer_boxes[:] = EMPTY_BOX
         for begin in range(first, max(last, first + 1), patch.chunk):
             end = min(begin + patch.chunk, last)
-            for number, (kernel, p) in enumerate(zip(kernels.p2g, self.populations, strict=True)):
+            for number, (kernel, p) in enumerate(zip(p2g or kernels.p2g, self.populations, strict=True)):
                 runs += kernel(
                     p.reals, p.places, p.segments, p.layer_start, begin, end, self.kernel_tables[number], patch.windows,
                     patch.layer_boxes, number == len(kernels.p2g) - 1, halo.targets, patch.nodes, patch.boxes,
                     halo.unsummed, halo.slot_boxes, kernels.scratch, kernels.first_nodes, kernels.constants,
-                    self.real(dt), self.dx, self.inv_dx,
+                    self.real(dt), self.dx, self.inv_dx, self.first_layer, self.real(self.time), self.drive.factor,
                 )  # fmt: skip
         return runs
 
-    def update_planes(self, first, last, dt):
-        """Momentum to velocity, gravity and walls on planes first .. last - 1 of the patch."""
-        nodes, boxes = self.patch.nodes, self.patch.boxes
+    def update_planes(self, first, last, dt, driven=True):
+        """Momentum to velocity on planes first .. last - 1 of the patch: walls, and if `driven` all else that acts on nodes."""
+        nodes, boxes, drive = self.patch.nodes, self.patch.boxes, self.drive
         if self.wraps and first < last:
             self.wrap_planes(nodes[first:last])
-        if self.has_gravity:
-            self.kernels.add_gravity(nodes, boxes, first, last, self.gravity_row * self.real(dt))
+        if driven and drive.has_gravity:
+            self.kernels.add_gravity(nodes, boxes, first, last, drive.gravity_gain(dt))
+        if driven and drive.damping > 0.0:
+            self.kernels.damp(nodes, boxes, first, last, drive.kept(dt))
         here = [(wall, wall.clipped(first, last)) for wall in self.walls]
         for wall, box in here:
-            self.kernels.walls[wall.type](nodes, boxes, *box, *wall.step, wall.normal, wall.coefficient)
+            kind = wall.type if driven or wall.type != "friction" else "separate"
+            self.kernels.walls[kind](nodes, boxes, *box, *wall.step, wall.normal, wall.coefficient, wall.velocity)
         self.kernels.divide_by_mass(nodes, boxes, first, last)
         for wall, box in here:
-            self.kernels.images[wall.type](nodes, boxes, *box, *wall.step, wall.normal)
+            self.kernels.images[wall.type](nodes, boxes, *box, *wall.step, wall.normal, wall.velocity)
+        for region in drive.regions if driven else ():
+            region.impose(nodes, first, last)
 
     def widen_boxes(self):
         """Where an axis other than the slab axis repeats, what lies near one end also lies near the other."""
@@ -299,8 +326,8 @@ class Simulation:
         for number, (kernel, p) in enumerate(zip(self.kernels.g2p, self.populations, strict=True)):
             found = kernel(
                 p.reals, p.places, p.segments, p.layer_start, first, last, self.kernel_tables[number], self.patch.nodes,
-                self.first_layer, self.limits, self.ends, kernels.scratch, kernels.first_nodes, kernels.constants, dt,
-                self.dx, self.inv_dx, failure,
+                self.patch.before, self.blend, self.first_layer, self.limits, self.ends, kernels.scratch,
+                kernels.first_nodes, kernels.constants, dt, self.dx, self.inv_dx, failure,
             )  # fmt: skip
             np.maximum(extremes[:3], found, out=extremes[:3])
             if failure[0]:
@@ -375,7 +402,7 @@ class Simulation:
 
     def derived_of(self, law, real):
         return DerivedFields(
-            self.populations[law], self.needs.laws[law], self.layouts[law], self.needs.tensors, self.geometry,
+            self.populations[law], self.needs.laws[law], self.layouts[law], self.needs, self.geometry,
             self.tables[law], real,
         )  # fmt: skip
 

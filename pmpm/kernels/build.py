@@ -19,6 +19,7 @@ WALLS = {
     "friction": (boundary.wall_friction, boundary.image_mirrored, False),
 }
 PER_SCENE = ("clear", "add_gravity", "divide_by_mass")
+PER_OPTION = ("damp",)  # likewise, only where a scene asks for them
 PER_CUT = ("pack", "take_planes", "add_planes")  # called, hence compiled, only where there are cuts
 PER_PLACES = ("loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
@@ -29,10 +30,12 @@ VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
 
 @dataclass(frozen=True)
 class Kernels:
-    """Entry kernels: p2g and g2p per law, `shared` by name, walls and images by wall type; and what the lanes work in."""
+    """Entry kernels: p2g and g2p per law, p2g without impulses for schemes that blend velocities, `shared` by name, walls and
+    images by wall type; and what the lanes work in."""
 
     p2g: tuple[Any, ...]
     g2p: tuple[Any, ...]
+    p2g_before: tuple[Any, ...]
     shared: dict[str, Any]
     walls: dict[str, Any]
     images: dict[str, Any]
@@ -51,6 +54,7 @@ class Kernels:
         return {
             **{f"p2g {i}": kernel for i, kernel in enumerate(self.p2g)},
             **{f"g2p {i}": kernel for i, kernel in enumerate(self.g2p)},
+            **{f"p2g before {i}": kernel for i, kernel in enumerate(self.p2g_before)},
             **self.shared,
             **{f"wall {name}": kernel for name, kernel in self.walls.items()},
             **{f"image {name}": kernel for name, kernel in self.images.items()},
@@ -83,7 +87,7 @@ def row_constants(stencil, real):
     for node, origin in enumerate(stencil.origins):
         table[1, node] = origin
         for first, function in ((2, stencil.weights), (6, stencil.slopes)):
-            coefficients = function(Polynomial([origin, 1.0]))[node].coef
+            coefficients = (function(Polynomial([origin, 1.0]))[node] + Polynomial([0.0])).coef
             table[first : first + len(coefficients), node] = coefficients
     constants = aligned(lane_loops.CONSTANTS, real)
     constants[:] = np.repeat(table.ravel(), 4)
@@ -94,7 +98,7 @@ def scene_choices(needs):
     """Constants and functions that depend on the scene but not on the law."""
     slab, middle, row = needs.axes
     stencil, two, places = needs.stencil, needs.dim == 2, needs.places
-    vector, matrix = needs.dim, needs.dim * needs.dim
+    vector = needs.dim
     return {
         "la": needs.tensors,
         "integer": places.integer.type,
@@ -111,15 +115,20 @@ def scene_choices(needs):
         "CENTRE": places.whole(0.5 - stencil.round),
         "UNIT": places.unit,
         "ONE_CELL": 2.0**places.fraction,
-        "MLS": needs.transfer == "mls",
+        "AFFINE": needs.scheme.affine,
+        "BY_INERTIA": needs.affine_by_inertia,
+        "MLS": needs.scheme.mls,
+        "BLENDS": needs.scheme.blends,
+        "FORCED": needs.body_force is not None,
+        "body_force": needs.body_force or loops.no_force,
+        "LOADED": needs.loaded,
         "PERIODIC_MIDDLE": not two and needs.periodic[middle],
         "PERIODIC_ROW": needs.periodic[row],
         "V_FIELD": vector,
-        "C_FIELD": 2 * vector,
-        "STATE_FIELD": 2 * vector + matrix,
         "weights": stencil.weights,
         "slopes": stencil.slopes,
         "load_normal": loops.normal_2 if two else loops.normal_3,
+        "node_of_segment": loops.node_of_segment_2 if two else loops.node_of_segment_3,
         "momentum_at": loops.momentum_2 if two else loops.momentum_3,
     }
 
@@ -132,7 +141,7 @@ def scalar_choices(needs):
         "load_matrix": scalar_loops.FIELD_TUPLES[needs.dim**2],
         "along_axes": scalar_loops.along_axes_2 if two else scalar_loops.along_axes_3,
         "stencil_node": scalar_loops.stencil_node_2 if two else scalar_loops.stencil_node_3,
-        "node_of_segment": scalar_loops.node_of_segment_2 if two else scalar_loops.node_of_segment_3,
+        "cells_to_metres": scalar_loops.cells_to_metres_2 if two else scalar_loops.cells_to_metres_3,
     }
 
 
@@ -147,7 +156,7 @@ def lane_choices(needs):
     by_middle = {name: getattr(lane_loops, f"{name}_{across}") for name in ("add_slab", "flush_slab", "gather_slab")}
     by_dimension = {
         name: getattr(lane_loops, f"{name}_{needs.dim}")
-        for name in ("store_column", "store_constant", "vector", "matrix")
+        for name in ("store_column", "store_constant", "vector", "matrix", "position")
     }
     return {
         "LINE": CACHE_LINE // np.dtype(needs.precision).itemsize,
@@ -161,6 +170,7 @@ def lane_choices(needs):
         "store_constant": by_dimension["store_constant"],
         "vector_of": by_dimension["vector"],
         "matrix_of": by_dimension["matrix"],
+        "position_of": by_dimension["position"],
         **by_nodes,
         **by_middle,
     }
@@ -168,9 +178,15 @@ def lane_choices(needs):
 
 def law_choices(law, layout, parameter_count, tuples, real):
     """Constants and functions of one law."""
+    first = {name: where.start if (where := layout.where(name)) else 0 for name in ("C", "X", "load")}
     return dict(law.choices) | {
         "law": law.module,
         "FIELDS": layout.size,
+        "C_FIELD": first["C"],
+        "STORES_C": layout.where("C") is not None,
+        "REFERENCE_FIELD": first["X"],
+        "LOAD_FIELD": first["load"],
+        "STATE_FIELD": layout.state_first,
         "LINES": -(-layout.size * real.itemsize // CACHE_LINE),
         "load_state": tuples[layout.size - layout.state_first],
         "PARAMETERS": parameter_count,
@@ -188,17 +204,22 @@ def build(needs, layouts, parameter_counts, kind):
     own = lane_choices(needs) if module is lane_loops else scalar_choices(needs)
     scene = scene_choices(needs)
     general = targets.scalar(real, **scene)
-    p2g, g2p = [], []
+    p2g, g2p, p2g_before = [], [], []
     for law, layout, count in zip(needs.laws, layouts, parameter_counts, strict=True):
-        target = make(real, **scene, **own, **law_choices(law, layout, count, module.FIELD_TUPLES, np.dtype(real)))
+        of_law = law_choices(law, layout, count, module.FIELD_TUPLES, np.dtype(real))
+        target = make(real, **scene, **own, **of_law, IMPULSE=True, BY_GRADIENT=not needs.scheme.mls)
         p2g.append(target.entry(module.p2g))
+        if needs.scheme.blends:
+            before = make(real, **scene, **own, **of_law, IMPULSE=False, BY_GRADIENT=False)
+            p2g_before.append(before.entry(module.p2g))
         g2p.append(target.entry(module.g2p))
     walls, images = {}, {}
-    for name in sorted(set(needs.wall_types) & set(WALLS)):
+    frictionless = {"separate"} if needs.scheme.blends and "friction" in needs.wall_types else set()
+    for name in sorted((set(needs.wall_types) | frictionless) & set(WALLS)):
         wall, image, two_sided = WALLS[name]
         target = targets.scalar(real, **scene, wall=wall, image=image, TWO_SIDED=two_sided)
         walls[name], images[name] = target.entry(loops.apply_wall), target.entry(loops.fill_beyond_wall)
-    shared = {name: general.entry(getattr(loops, name)) for name in (*PER_SCENE, *PER_CUT)}
+    shared = {name: general.entry(getattr(loops, name)) for name in (*PER_SCENE, *PER_OPTION, *PER_CUT)}
     for_places = targets.scalar(real)
     shared |= {name: for_places.entry(getattr(sorting, name)) for name in PER_PLACES}
     for_orders = targets.scalar(np.float64)
@@ -206,6 +227,7 @@ def build(needs, layouts, parameter_counts, kind):
     return Kernels(
         tuple(p2g),
         tuple(g2p),
+        tuple(p2g_before),
         shared,
         walls,
         images,

@@ -48,6 +48,8 @@ from pmpm.kernels.loops import (
     centre_of,
     fold_layer,
     load_parameters,
+    no_force,
+    node_of_segment,
     place_at,
 )
 from pmpm.physics import stability, transfer
@@ -61,9 +63,14 @@ real = integer = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 NODES, INERTIA = 3, 4.0
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
-MLS = False
-VISCOUS = PERIODIC_MIDDLE = PERIODIC_ROW = False
-FIELDS, V_FIELD, C_FIELD, STATE_FIELD = 12, 2, 4, 8
+# What the transfer does. AFFINE: particles have an affine field; BY_INERTIA: C from its sums, else from the gradient; MLS:
+# forces without weight gradients; BLENDS: a part of the particle's own velocity is kept; IMPULSE: P2G adds what changes
+# velocities; STORES_C: particles keep C, whoever asks for it.
+AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True
+BY_GRADIENT = True  # IMPULSE and not MLS
+VISCOUS = FORCED = LOADED = PERIODIC_MIDDLE = PERIODIC_ROW = False
+FIELDS, V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 12, 2, 4, 8, 8, 8
+body_force = no_force
 OFFSETS = (-1.0, 0.0, 1.0)
 
 # Columns of 16 reals of the scratch table: weights, first moments and slopes of up to 4 nodes along two axes, the offset
@@ -74,9 +81,9 @@ ROW_G = 384
 QUAD_SLAB, QUAD_MIDDLE, QUAD_ROW, QUAD_CONSTANT = 400, 464, 528, 592
 QUAD_F_SLAB, QUAD_F_MIDDLE, QUAD_F_ROW = 656, 720, 784
 GATHERED, GRADIENTS = 400, 656
-CAUSES = 912
+BEFORE, CAUSES = 912, 1168
 AHEAD, LINE, LINES = 2, 8, 2  # blocks fetched ahead; reals of a cache line; lines per particle
-SCRATCH = 1024
+SCRATCH = 1184
 # Of the constants of a row: distances of its nodes, origins, then the coefficients of weights and slopes.
 ROW_DISTANCE, ROW_ORIGIN, ROW_WEIGHT, ROW_SLOPE = 0, 16, 32, 96
 CONSTANTS = 160
@@ -154,8 +161,12 @@ def offset_from(place, centre):
     return to_real(place - (centre << FRACTION)) * UNIT
 
 
-def moments_3(w, g):
+def moments_2(w, g):
     """w d of each node."""
+    return (w[0] * (OFFSETS[0] - g), w[1] * (OFFSETS[1] - g))
+
+
+def moments_3(w, g):
     return (w[0] * (OFFSETS[0] - g), w[1] * (OFFSETS[1] - g), w[2] * (OFFSETS[2] - g))
 
 
@@ -199,8 +210,13 @@ def place_block(places, o, table, first_nodes, base_middle, base_row, plane, row
     return first_middle, first_row
 
 
+def row_weights_2(constants, at, t):
+    """A polynomial of each node of a row, repeated for the node's 4 components: linear."""
+    return load(constants, at + 16) * t + load(constants, at)
+
+
 def row_weights_3(constants, at, t):
-    """A polynomial of each node of a row, repeated for the node's 4 components: quadratic."""
+    """Quadratic."""
     return (load(constants, at + 32) * t + load(constants, at + 16)) * t + load(constants, at)
 
 
@@ -225,12 +241,20 @@ def rows_1():
     return (no_rows(),)
 
 
+def rows_2():
+    return (no_rows(), no_rows())
+
+
 def rows_3():
     return (no_rows(), no_rows(), no_rows())
 
 
 def rows_4():
     return (no_rows(), no_rows(), no_rows(), no_rows())
+
+
+def stencil_2():
+    return (middle_rows(), middle_rows())
 
 
 def stencil_3():
@@ -247,14 +271,20 @@ middle_rows, empty_stencil = rows_1, stencil_3
 def add_row(row, table, at, X, Y, Z):
     """One row of a slab: X and Y as in the head of this file, Z what multiplies the slope along the middle axis."""
     row = row + table[at] * X
-    row = row + table[at + (MIDDLE_E - MIDDLE_W)] * Y
-    if not MLS:
+    if AFFINE:
+        row = row + table[at + (MIDDLE_E - MIDDLE_W)] * Y
+    if BY_GRADIENT:
         row = row + table[at + (MIDDLE_D - MIDDLE_W)] * Z
     return row
 
 
 def add_slab_1(rows, table, lane, X, Y, Z):
     return (rows[0] + X,)
+
+
+def add_slab_2(rows, table, lane, X, Y, Z):
+    at = MIDDLE_W + lane
+    return (add_row(rows[0], table, at, X, Y, Z), add_row(rows[1], table, at + 16, X, Y, Z))
 
 
 def add_slab_3(rows, table, lane, X, Y, Z):
@@ -276,10 +306,19 @@ add_slab = add_slab_1
 def add_particle_to(rows, table, lane, i, constant, slab, middle, force_slab, force_middle):
     """Slab i of a stencil gains what a particle gives it."""
     w = table[SLAB_W + 16 * i + lane]
-    X = w * constant + table[SLAB_E + 16 * i + lane] * slab
-    if not MLS:
+    X = w * constant
+    if AFFINE:
+        X = X + table[SLAB_E + 16 * i + lane] * slab
+    if BY_GRADIENT:
         X = X + table[SLAB_D + 16 * i + lane] * force_slab
     return add_slab(rows, table, lane, X, w * middle, w * force_middle)
+
+
+def add_particle_2(rows, table, lane, constant, slab, middle, force_slab, force_middle):
+    return (
+        add_particle_to(rows[0], table, lane, 0, constant, slab, middle, force_slab, force_middle),
+        add_particle_to(rows[1], table, lane, 1, constant, slab, middle, force_slab, force_middle),
+    )
 
 
 def add_particle_3(rows, table, lane, constant, slab, middle, force_slab, force_middle):
@@ -305,13 +344,16 @@ def scatter(rows, table, constants, lane):
     g = in_all_lanes(table[ROW_G + lane])
     t = g - load(constants, ROW_ORIGIN)
     w = row_weights(constants, ROW_WEIGHT, t)
-    d = load(constants, ROW_DISTANCE) - g
-    constant = w * (load_repeated(table, QUAD_ROW + q) * d + load_repeated(table, QUAD_CONSTANT + q))
-    slab = w * load_repeated(table, QUAD_SLAB + q)
-    middle = force_slab = force_middle = slab
-    if DIMENSIONS == 3:
-        middle = w * load_repeated(table, QUAD_MIDDLE + q)
-    if not MLS:
+    constant = load_repeated(table, QUAD_CONSTANT + q)
+    if AFFINE:
+        constant = load_repeated(table, QUAD_ROW + q) * (load(constants, ROW_DISTANCE) - g) + constant
+    constant = w * constant
+    slab = middle = force_slab = force_middle = constant
+    if AFFINE:
+        slab = w * load_repeated(table, QUAD_SLAB + q)
+        if DIMENSIONS == 3:
+            middle = w * load_repeated(table, QUAD_MIDDLE + q)
+    if BY_GRADIENT:
         constant = constant + row_weights(constants, ROW_SLOPE, t) * load_repeated(table, QUAD_F_ROW + q)
         force_slab = w * load_repeated(table, QUAD_F_SLAB + q)
         if DIMENSIONS == 3:
@@ -325,6 +367,11 @@ def add_at(window, o, row):
 
 def flush_slab_1(window, o, row, rows):
     add_at(window, o, rows[0])
+
+
+def flush_slab_2(window, o, row, rows):
+    add_at(window, o, rows[0])
+    add_at(window, o + row, rows[1])
 
 
 def flush_slab_3(window, o, row, rows):
@@ -341,8 +388,13 @@ def flush_slab_4(window, o, row, rows):
 flush_slab = flush_slab_1
 
 
-def flush_3(window, o, plane, row, rows):
+def flush_2(window, o, plane, row, rows):
     """Add the rows of a stencil to the window."""
+    flush_slab(window, o, row, rows[0])
+    flush_slab(window, o + plane, row, rows[1])
+
+
+def flush_3(window, o, plane, row, rows):
     flush_slab(window, o, row, rows[0])
     flush_slab(window, o + plane, row, rows[1])
     flush_slab(window, o + 2 * plane, row, rows[2])
@@ -377,19 +429,48 @@ def store_constant_3(table, at, p, mass):
 store_column, store_constant = store_column_2, store_constant_2
 
 
-def momentum_block(reals, o, table, mass, volume0, params, dt, dx, inv_dx):
+def cells_along(places, o, axis, base):
+    """Position along an axis in cells."""
+    return to_real(load(places, o + 16 * axis)) * UNIT + real(base)
+
+
+def position_2(places, o, base, dx):
+    """x of 16 particles in m, from the nodes where their places begin."""
+    return (cells_along(places, o, 0, base[0]) * dx, cells_along(places, o, 1, base[1]) * dx)
+
+
+def position_3(places, o, base, dx):
+    return position_2(places, o, base, dx) + (cells_along(places, o, 2, base[2]) * dx,)
+
+
+position_of = position_2
+
+
+def momentum_block(
+    reals, o, table, mass, volume0, params, dt, dx, inv_dx, places, base, time, load_factor,
+):  # fmt: skip
     """What the 16 particles of a block give, as quads of one vector per particle."""
-    state, C = load_state(reals, o + 16 * STATE_FIELD), load_matrix(reals, o + 16 * C_FIELD)
-    tau = law.kirchhoff_stress(state, params)
-    if VISCOUS:
-        tau = la.add_symmetric(tau, law.viscous_stress(state, C, params))
-    M = transfer.affine_momentum(mass, C, volume0 * dt, tau, dx, inv_dx)
-    store_column(table, QUAD_SLAB, M, SLAB)
-    store_column(table, QUAD_ROW, M, ROW)
-    if DIMENSIONS == 3:
-        store_column(table, QUAD_MIDDLE, M, MIDDLE)
-    store_constant(table, QUAD_CONSTANT, la.scale_vector(mass, load_vector(reals, o + 16 * V_FIELD)), mass)
-    if not MLS:
+    v = load_vector(reals, o + 16 * V_FIELD)
+    if IMPULSE:
+        state = load_state(reals, o + 16 * STATE_FIELD)
+        tau = law.kirchhoff_stress(state, params)
+        if VISCOUS:
+            tau = la.add_symmetric(tau, law.viscous_stress(state, load_matrix(reals, o + 16 * C_FIELD), params))
+        if FORCED:
+            x, X = position_of(places, o, base, dx), load_vector(reals, o + 16 * REFERENCE_FIELD)
+            v = la.add_scaled_vector(v, dt, body_force(x, X, time))
+        if LOADED:
+            v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, o + 16 * LOAD_FIELD))
+    store_constant(table, QUAD_CONSTANT, la.scale_vector(mass, v), mass)
+    if AFFINE:
+        M = transfer.affine_momentum(mass, load_matrix(reals, o + 16 * C_FIELD), dx)
+        if MLS:
+            M = la.add(M, transfer.stress_momentum(volume0 * dt, tau, inv_dx))
+        store_column(table, QUAD_SLAB, M, SLAB)
+        store_column(table, QUAD_ROW, M, ROW)
+        if DIMENSIONS == 3:
+            store_column(table, QUAD_MIDDLE, M, MIDDLE)
+    if BY_GRADIENT:
         F = la.full(la.scale_plus_diagonal(-(volume0 * dt) * inv_dx, tau, 0.0))
         store_column(table, QUAD_F_SLAB, F, SLAB)
         store_column(table, QUAD_F_ROW, F, ROW)
@@ -399,7 +480,7 @@ def momentum_block(reals, o, table, mass, volume0, params, dt, dx, inv_dx):
 
 def p2g(
     reals, places, segments, layer_start, first_layer, last_layer, table, windows, boxes, folds, targets, nodes,
-    plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx,
+    plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx, layer_node, time, load_factor,
 ):  # fmt: skip
     """See loops.py for what the arguments are."""
     before = flush_denormals()
@@ -416,6 +497,7 @@ def p2g(
         for s in range(layer_start[layer], layer_start[layer + 1]):
             block, left, body = segments[s, 0], segments[s, 1], segments[s, 2]
             mass, volume0, params = table[body, MASS_COLUMN], table[body, VOLUME_COLUMN], load_parameters(table, body)
+            base = node_of_segment(layer_node + layer, segments[s, 3], segments[s, 4])
             while left > 0:
                 o = block * (16 * FIELDS)
                 m, r = place_block(
@@ -424,7 +506,9 @@ def p2g(
                 )  # fmt: skip
                 lowest_middle, highest_middle = min(lowest_middle, m), max(highest_middle, m)
                 lowest_row, highest_row = min(lowest_row, r), max(highest_row, r)
-                momentum_block(values, o, scratch, mass, volume0, params, dt, dx, inv_dx)
+                momentum_block(
+                    values, o, scratch, mass, volume0, params, dt, dx, inv_dx, where_from, base, time, load_factor,
+                )  # fmt: skip
                 for lane in range(min(left, 16)):
                     for line in range(LINES):
                         prefetch(values, o + AHEAD * 16 * FIELDS + (lane * LINES + line) * LINE, False)
@@ -459,6 +543,18 @@ def gather_slab_1(nodes, o, row, table, lane):
     """(sum of w_m v_i, sum of w_m d_m v_i, sum of w'_m v_i) over the rows of a slab."""
     v = load(nodes, o)
     return v, v, v
+
+
+def gather_slab_2(nodes, o, row, table, lane):
+    at = MIDDLE_W + lane
+    a, b = load(nodes, o), load(nodes, o + row)
+    v = table[at] * a + table[at + 16] * b
+    at += MIDDLE_E - MIDDLE_W
+    e = table[at] * a + table[at + 16] * b
+    if MLS:
+        return v, e, v
+    at += MIDDLE_D - MIDDLE_E
+    return v, e, table[at] * a + table[at + 16] * b
 
 
 def gather_slab_3(nodes, o, row, table, lane):
@@ -502,6 +598,11 @@ def gather_from(sums, nodes, o, row, table, lane, i):
     return v, B_slab, B_middle, L_slab, L_middle
 
 
+def gather_slabs_2(sums, nodes, o, plane, row, table, lane):
+    sums = gather_from(sums, nodes, o, row, table, lane, 0)
+    return gather_from(sums, nodes, o + plane, row, table, lane, 1)
+
+
 def gather_slabs_3(sums, nodes, o, plane, row, table, lane):
     sums = gather_from(sums, nodes, o, row, table, lane, 0)
     sums = gather_from(sums, nodes, o + plane, row, table, lane, 1)
@@ -517,7 +618,10 @@ gather_slabs = gather_slabs_3
 
 
 def gather(nodes, o, plane, row, table, constants, lane):
-    """Sums over the stencil of one particle: (v | B along slab | middle | row), and the gradient likewise, into scratch."""
+    """Sums over the stencil of one particle: (v | B along slab | middle | row), and the gradient likewise, into scratch.
+
+    Without an affine field from sums, (v | gradient) alone.
+    """
     g = in_all_lanes(table[ROW_G + lane])
     zero = in_all_lanes(real(0.0))
     v, B_slab, B_middle, L_slab, L_middle = gather_slabs(
@@ -525,17 +629,26 @@ def gather(nodes, o, plane, row, table, constants, lane):
     )
     t = g - load(constants, ROW_ORIGIN)
     w = row_weights(constants, ROW_WEIGHT, t)
-    B_row = w * v * (load(constants, ROW_DISTANCE) - g)
-    if DIMENSIONS == 3:
-        store(table, GATHERED + 16 * lane, sum_nodes(w * v, w * B_slab, w * B_middle, B_row))
-    else:
-        store(table, GATHERED + 16 * lane, sum_nodes(w * v, w * B_slab, zero, B_row))
-    if not MLS:
-        L_row = row_weights(constants, ROW_SLOPE, t) * v
+    if BY_INERTIA:
+        B_row = w * v * (load(constants, ROW_DISTANCE) - g)
         if DIMENSIONS == 3:
-            store(table, GRADIENTS + 16 * lane, sum_nodes(zero, w * L_slab, w * L_middle, L_row))
+            store(table, GATHERED + 16 * lane, sum_nodes(w * v, w * B_slab, w * B_middle, B_row))
         else:
-            store(table, GRADIENTS + 16 * lane, sum_nodes(zero, w * L_slab, zero, L_row))
+            store(table, GATHERED + 16 * lane, sum_nodes(w * v, w * B_slab, zero, B_row))
+    if not MLS:
+        L_row, first = row_weights(constants, ROW_SLOPE, t) * v, zero if BY_INERTIA else w * v
+        if DIMENSIONS == 3:
+            store(table, GRADIENTS + 16 * lane, sum_nodes(first, w * L_slab, w * L_middle, L_row))
+        else:
+            store(table, GRADIENTS + 16 * lane, sum_nodes(first, w * L_slab, zero, L_row))
+
+
+def gather_before(nodes, o, plane, row, table, constants, lane):
+    """The sum of velocities alone, into scratch."""
+    zero = in_all_lanes(real(0.0))
+    sums = gather_slabs((zero, zero, zero, zero, zero), nodes, o, plane, row, table, lane)
+    w = row_weights(constants, ROW_WEIGHT, in_all_lanes(table[ROW_G + lane]) - load(constants, ROW_ORIGIN))
+    store(table, BEFORE + 16 * lane, sum_nodes(w * sums[0], zero, zero, zero))
 
 
 GROUP = (1, 3, 0)  # of a physical axis, the group of a gathered row: 1 slab, 2 middle, 3 row
@@ -577,12 +690,17 @@ def size_of(place):
 
 
 def g2p(
-    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, layer_node, limits, ends, scratch,
-    first_nodes, constants, dt, dx, inv_dx, failure,
+    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, nodes_before, blend, layer_node, limits,
+    ends, scratch, first_nodes, constants, dt, dx, inv_dx, failure,
 ):  # fmt: skip
     """See loops.py for what the arguments are and what is returned."""
     before = flush_denormals()
-    values, where_from, grid = reals.reshape(-1), places.reshape(-1), nodes.reshape(-1)
+    values, where_from, grid, grid_before = (
+        reals.reshape(-1),
+        places.reshape(-1),
+        nodes.reshape(-1),
+        nodes_before.reshape(-1),
+    )
     row, plane = nodes.shape[2] * 4, nodes.shape[1] * nodes.shape[2] * 4
     speeds = waves = in_all_lanes(real(0.0))
     drifts = in_all_lanes(integer(0))
@@ -609,26 +727,41 @@ def g2p(
                 for lane in range(count):
                     for line in range(LINES):
                         prefetch(values, o + AHEAD * 16 * FIELDS + (lane * LINES + line) * LINE, True)
-                    gather(grid, layer * plane + first_nodes[lane], plane, row, scratch, constants, lane)
+                    first = layer * plane + first_nodes[lane]
+                    gather(grid, first, plane, row, scratch, constants, lane)
+                    if BLENDS:
+                        gather_before(grid_before, first, plane, row, scratch, constants, lane)
                 nothing = in_all_lanes(real(0.0))
                 for lane in range(count, 16):  # what fills up a block stays where it is, unchanged
-                    store(scratch, GATHERED + 16 * lane, nothing)
+                    if BY_INERTIA:
+                        store(scratch, GATHERED + 16 * lane, nothing)
                     if not MLS:
                         store(scratch, GRADIENTS + 16 * lane, nothing)
+                    if BLENDS:
+                        store(scratch, BEFORE + 16 * lane, nothing)
                 live = lanes_below(count)
-                columns = load_transposed(scratch, GATHERED)
-                v = vector_of(columns)
-                C = la.scale(INERTIA * inv_dx, matrix_of(columns))
-                if MLS:
-                    G = la.scale(dt, C)
+                if BY_INERTIA:
+                    columns = load_transposed(scratch, GATHERED)
+                    C = la.scale(INERTIA * inv_dx, matrix_of(columns))
+                    if MLS:
+                        G = la.scale(dt, C)
+                    else:
+                        G = la.scale(dt * inv_dx, matrix_of(load_transposed(scratch, GRADIENTS)))
                 else:
-                    G = la.scale(dt * inv_dx, matrix_of(load_transposed(scratch, GRADIENTS)))
+                    columns = load_transposed(scratch, GRADIENTS)
+                    C = la.scale(inv_dx, matrix_of(columns))
+                    G = la.scale(dt * inv_dx, matrix_of(columns))
+                v = vector_of(columns)
                 state = law.advance(load_state(values, o + 16 * STATE_FIELD), G, dt, params)
+                step = la.scale_vector(dt * inv_dx, v)
+                if BLENDS:
+                    old = vector_of(load_transposed(scratch, BEFORE))
+                    v = transfer.blend_velocity(v, load_vector(values, o + 16 * V_FIELD), old, blend)
                 put(values, o + 16 * V_FIELD, v)
-                put(values, o + 16 * C_FIELD, C)
+                if STORES_C:
+                    put(values, o + 16 * C_FIELD, C)
                 put(values, o + 16 * STATE_FIELD, state)
 
-                step = la.scale_vector(dt * inv_dx, v)
                 steady = la.within(step, 1.0)
                 slab = moved(where_from, o, SLAB, step)
                 along_row = moved(where_from, o, ROW, step)

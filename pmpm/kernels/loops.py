@@ -14,11 +14,13 @@ planes each layer can touch, `windows[(layer - first_layer) % number of windows]
 comes last `folds`: it adds each layer's planes to the nodes, layer after layer, and clears them for the next use. P2G returns
 the number of runs of particles with the same stencil.
 
-G2P gathers velocity and its gradient, advances state and position of its layers. `layer_node` is the global number of this
-rank's first layer; `limits[axis]`, in 64ths of a cell, where particles may be, `ends[axis]` where a periodic axis repeats. The
-first particle that fails is written to `failure` (cause, block, lane) and keeps its position. G2P returns the maxima
-(speed^2, wave speed^2, drift in cells): drift is how far a particle is from the middle of its layer, or half a cell plus
-what it is beyond the end of a periodic axis.
+`layer_node` is the global number of this rank's first layer, `time` that of the step's beginning, `load_factor` the part of
+the loads that acts. Schemes that blend velocities run P2G twice: without impulses first, for `nodes_before`.
+
+G2P gathers velocity and its gradient, advances state and position of its layers. `limits[axis]`, in 64ths of a cell, where
+particles may be, `ends[axis]` where a periodic axis repeats. The first particle that fails is written to `failure` (cause,
+block, lane) and keeps its position. G2P returns the maxima (speed^2, wave speed^2, drift in cells): drift is how far a
+particle is from the middle of its layer, or half a cell plus what it is beyond the end of a periodic axis.
 """
 
 from numba.np.unsafe.ndarray import to_fixed_tuple
@@ -39,6 +41,32 @@ CAUSE_POSITION, CAUSE_STATE, CAUSE_LEFT = 1, 2, 3  # why a particle stops the ru
 NOWHERE = -1
 EMPTY_BOX = (1 << 30, 0, 1 << 30, 0)
 wall, image, TWO_SIDED = boundary.wall_stick, boundary.image_reversed, True
+
+
+def no_force(x, X, t):
+    """What stands in the place of a scene's body force."""
+    return x
+
+
+def node_of_axis(axis, a, b, c):
+    """Of the stencil node (a, b, c) along (slab, middle, row), its number along a physical axis."""
+    return a if axis == SLAB else (b if axis == MIDDLE else c)
+
+
+def node_of_segment_2(slab, middle, row):
+    """Base node per physical axis."""
+    return (slab, row) if SLAB == 0 else (row, slab)
+
+
+def node_of_segment_3(slab, middle, row):
+    return (
+        node_of_axis(0, slab, middle, row),
+        node_of_axis(1, slab, middle, row),
+        node_of_axis(2, slab, middle, row),
+    )
+
+
+node_of_segment = node_of_segment_2
 
 
 def centre_of(place):
@@ -161,6 +189,18 @@ def add_gravity(nodes, boxes, first_plane, last_plane, velocity_gain):
     restore_denormals(before)
 
 
+def damp(nodes, boxes, first_plane, last_plane, kept):
+    """Momentum loses all but the part `kept`, given for a row of four nodes; mass stays."""
+    before = flush_denormals()
+    factor = load(kept, 0)
+    for i in range(first_plane, last_plane):
+        for j in range(boxes[i, 0], boxes[i, 1]):
+            row = nodes[i, j].reshape(-1)
+            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3], 16):
+                store(row, q, load(row, q) * factor)
+    restore_denormals(before)
+
+
 def divide_by_mass(nodes, boxes, first_plane, last_plane):
     """Momentum -> velocity; nodes without mass are at rest."""
     before = flush_denormals()
@@ -198,47 +238,54 @@ def put_vector(nodes, i, j, k, v):
         nodes[i, j, k, q] = v[q]
 
 
-def apply_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, coefficient):
+def apply_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, coefficient, velocity):
     """One face, on momenta: nodes i0 .. i1 - 1, ... are those beyond it, one step (di, dj, dk) leads to the node on it.
 
+    The rules hold for what moves relative to the wall.
     A wall that may be left mirrors only where material presses on it and the wall as a whole pushes; elsewhere the rule
     acts on the nodes on and beyond it. A mirrored node beyond is left without mass.
     """
     before = flush_denormals()
-    n = load_normal(normal)
+    n, u = load_normal(normal), load_normal(velocity)
     none = real(0.0)
     for i in range(i0, i1):
         box = boxes[i + di]
         for j in range(max(j0, box[0] - dj), min(j1, box[1] - dj)):
             for k in range(max(k0, box[2] - dk), min(k1, box[3] - dk)):
-                on = momentum_at(nodes, i + di, j + dj, k + dk)
-                mass_beyond = nodes[i, j, k, 3]
+                mass_on, mass_beyond = nodes[i + di, j + dj, k + dk, 3], nodes[i, j, k, 3]
+                on = la.add_scaled_vector(momentum_at(nodes, i + di, j + dj, k + dk), -mass_on, u)
                 pressed = none
                 if mass_beyond > 0.0:
-                    past = momentum_at(nodes, i, j, k)
+                    past = la.add_scaled_vector(momentum_at(nodes, i, j, k), -mass_beyond, u)
                     i2, j2, k2 = i + 2 * di, j + 2 * dj, k + 2 * dk
-                    inner, mass_inner = momentum_at(nodes, i2, j2, k2), nodes[i2, j2, k2, 3]
+                    mass_inner = nodes[i2, j2, k2, 3]
+                    inner = la.add_scaled_vector(momentum_at(nodes, i2, j2, k2), -mass_inner, u)
                     impulse = boundary.mirror_impulse(past, mass_beyond, inner, mass_inner, n)
                     normal_on = la.dot(on, n)
                     if TWO_SIDED or (normal_on < 0.0 and normal_on + impulse <= 0.0):
-                        put_vector(nodes, i2, j2, k2, la.add_scaled_vector(inner, 1.0, image(past, n)))
-                        nodes[i2, j2, k2, 3] = mass_inner + mass_beyond
+                        mirrored = la.add_scaled_vector(inner, 1.0, image(past, n))
+                        mass_inner = mass_inner + mass_beyond
+                        put_vector(nodes, i2, j2, k2, la.add_scaled_vector(mirrored, mass_inner, u))
+                        nodes[i2, j2, k2, 3] = mass_inner
                         put_vector(nodes, i, j, k, la.scale_vector(none, past))
                         nodes[i, j, k, 3] = none
                         pressed = -impulse
                     else:
-                        put_vector(nodes, i, j, k, wall(past, n, coefficient, none))
-                put_vector(nodes, i + di, j + dj, k + dk, wall(on, n, coefficient, pressed))
+                        past = wall(past, n, coefficient, none)
+                        put_vector(nodes, i, j, k, la.add_scaled_vector(past, mass_beyond, u))
+                on = wall(on, n, coefficient, pressed)
+                put_vector(nodes, i + di, j + dj, k + dk, la.add_scaled_vector(on, mass_on, u))
     restore_denormals(before)
 
 
-def fill_beyond_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal):
+def fill_beyond_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, velocity):
     """Nodes beyond one face that were mirrored move as the image of the inner ones."""
-    n = load_normal(normal)
+    n, u = load_normal(normal), load_normal(velocity)
     for i in range(i0, i1):
         box = boxes[i]
         for j in range(max(j0, box[0]), min(j1, box[1])):
             for k in range(max(k0, box[2]), min(k1, box[3])):
                 if nodes[i, j, k, 3] == 0.0:
                     v = momentum_at(nodes, i + 2 * di, j + 2 * dj, k + 2 * dk)
-                    put_vector(nodes, i, j, k, image(v, n))
+                    seen = image(la.add_scaled_vector(v, -1.0, u), n)
+                    put_vector(nodes, i, j, k, la.add_scaled_vector(seen, 1.0, u))

@@ -42,6 +42,15 @@ class Stencil:
 
 
 STENCILS = {
+    "linear": Stencil(
+        bspline.NODES_LINEAR,
+        bspline.LOW_LINEAR,
+        bspline.ROUND_LINEAR,
+        bspline.INERTIA_LINEAR,
+        bspline.ORIGINS_LINEAR,
+        bspline.weights_linear,
+        bspline.slopes_linear,
+    ),
     "quadratic": Stencil(
         bspline.NODES_QUADRATIC,
         bspline.LOW_QUADRATIC,
@@ -64,6 +73,25 @@ STENCILS = {
 
 
 @dataclass(frozen=True)
+class Transfer:
+    """What a transfer scheme does. `affine`: particles carry an affine velocity field; `blends`: they keep a part of their
+    own velocity (FLIP), for which the grid is also filled without forces; `mls`: forces without weight gradients."""
+
+    affine: bool = False
+    blends: bool = False
+    mls: bool = False
+
+
+TRANSFERS = {
+    "apic": Transfer(affine=True),
+    "mls": Transfer(affine=True, mls=True),
+    "pic": Transfer(),
+    "flip": Transfer(blends=True),
+    "aflip": Transfer(affine=True, blends=True),
+}
+
+
+@dataclass(frozen=True)
 class LawNeeds:
     """One constitutive law with its compile-time choices: all materials that share both share kernels and storage."""
 
@@ -80,6 +108,10 @@ class LawNeeds:
         """Names of the fields."""
         return tuple(field.name for field in self.fields)
 
+    def viscous(self):
+        """Whether stress follows from the velocity gradient, too."""
+        return bool(dict(self.choices).get("VISCOUS"))
+
 
 @dataclass(frozen=True)
 class Needs:
@@ -93,6 +125,23 @@ class Needs:
     periodic: tuple[bool, ...]
     laws: tuple[LawNeeds, ...]
     wall_types: tuple[str, ...]
+    body_force: Callable | None = None  # acceleration(x, X, t) of the scene
+    uses_reference: bool = False  # whether it reads X
+    loaded: bool = False  # whether particles carry an acceleration of their own
+
+    @property
+    def scheme(self):
+        return TRANSFERS[self.transfer]
+
+    @property
+    def affine_by_inertia(self):
+        """Whether C is B D^-1, with a D that is the same everywhere; of linear splines it is grad v."""
+        return self.scheme.affine and self.stencil.inertia > 0.0
+
+    def carried(self, law):
+        """Names of what particles of a law carry besides position, velocity and state."""
+        carries = {"C": self.scheme.affine or law.viscous, "X": self.uses_reference, "load": self.loaded}
+        return tuple(name for name, needed in carries.items() if needed)
 
     @property
     def stencil(self):

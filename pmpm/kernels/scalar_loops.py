@@ -3,6 +3,7 @@
 Arguments and results are explained in loops.py.
 """
 
+from pmpm.kernels import loops
 from pmpm.kernels.lanes import flush_denormals, restore_denormals
 from pmpm.kernels.loops import (
     CAUSE_LEFT,
@@ -20,6 +21,8 @@ from pmpm.kernels.loops import (
     fold_layer,
     load_parameters,
     momentum_at,
+    node_of_axis,
+    node_of_segment,
     place_at,
 )
 from pmpm.physics import stability, transfer
@@ -34,9 +37,11 @@ DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 NODES, MIDDLE_NODES, INERTIA = 3, 1, 4.0
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
-MLS = False
-VISCOUS = PERIODIC_MIDDLE = PERIODIC_ROW = False
-V_FIELD, C_FIELD, STATE_FIELD = 2, 4, 8
+AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True  # see lane_loops
+VISCOUS = FORCED = LOADED = PERIODIC_MIDDLE = PERIODIC_ROW = False
+V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 2, 4, 8, 8, 8
+BY_GRADIENT = True
+body_force = loops.no_force
 
 
 # ---- flat tuples, field by field ----------------------------------------------------------------------------------------
@@ -109,17 +114,28 @@ def offset_of(place):
     return real(place - (centre_of(place) << FRACTION)) * UNIT
 
 
+def cells_of(place):
+    """Distance from the base node in cells."""
+    return real(place) * UNIT
+
+
+def cells_to_metres_2(cells, base, dx):
+    return ((cells[0] + real(base[0])) * dx, (cells[1] + real(base[1])) * dx)
+
+
+def cells_to_metres_3(cells, base, dx):
+    return ((cells[0] + real(base[0])) * dx, (cells[1] + real(base[1])) * dx, (cells[2] + real(base[2])) * dx)
+
+
+cells_to_metres = cells_to_metres_2
+
+
 def along_axes_2(function, u):
     return (function(u[0]), function(u[1]))
 
 
 def along_axes_3(function, u):
     return (function(u[0]), function(u[1]), function(u[2]))
-
-
-def node_of_axis(axis, a, b, c):
-    """Of the stencil node (a, b, c) along (slab, middle, row), its number along a physical axis."""
-    return a if axis == SLAB else (b if axis == MIDDLE else c)
 
 
 def stencil_node_2(w, dw, g, a, b, c):
@@ -144,7 +160,7 @@ along_axes, stencil_node = along_axes_2, stencil_node_2
 
 def p2g(
     reals, places, segments, layer_start, first_layer, last_layer, table, windows, boxes, folds, targets, nodes,
-    plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx,
+    plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx, layer_node, time, load_factor,
 ):  # fmt: skip
     before = flush_denormals()
     runs = 0
@@ -160,13 +176,26 @@ def p2g(
                 place = load_vector(places, block, 0, lane)
                 g = along_axes(offset_of, place)
                 w, dw = along_axes(weights, g), along_axes(slopes, g)
-                state = load_state(reals, block, STATE_FIELD, lane)
-                tau = law.kirchhoff_stress(state, params)
-                C = load_matrix(reals, block, C_FIELD, lane)
-                if VISCOUS:
-                    tau = la.add_symmetric(tau, law.viscous_stress(state, C, params))
-                M = transfer.affine_momentum(mass, C, volume0 * dt, tau, dx, inv_dx)
-                momentum = la.scale_vector(mass, load_vector(reals, block, V_FIELD, lane))
+                v = load_vector(reals, block, V_FIELD, lane)
+                if IMPULSE:
+                    state = load_state(reals, block, STATE_FIELD, lane)
+                    tau = law.kirchhoff_stress(state, params)
+                    if VISCOUS:
+                        tau = la.add_symmetric(
+                            tau, law.viscous_stress(state, load_matrix(reals, block, C_FIELD, lane), params)
+                        )
+                    if FORCED:
+                        base = node_of_segment(layer_node + layer, segments[s, 3], segments[s, 4])
+                        x = cells_to_metres(along_axes(cells_of, place), base, dx)
+                        X = load_vector(reals, block, REFERENCE_FIELD, lane)
+                        v = la.add_scaled_vector(v, dt, body_force(x, X, time))
+                    if LOADED:
+                        v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, block, LOAD_FIELD, lane))
+                momentum = la.scale_vector(mass, v)
+                if AFFINE:
+                    M = transfer.affine_momentum(mass, load_matrix(reals, block, C_FIELD, lane), dx)
+                    if MLS:
+                        M = la.add(M, transfer.stress_momentum(volume0 * dt, tau, inv_dx))
                 i0 = centre_of(place[SLAB]) + PADDING
                 j0 = segments[s, 3] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
                 k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
@@ -179,7 +208,12 @@ def p2g(
                     for b in range(MIDDLE_NODES):
                         for c in range(NODES):
                             weight, d, slope = stencil_node(w, dw, g, a, b, c)
-                            given = transfer.node_momentum(weight, d, slope, momentum, M, tau, minus_impulse)
+                            if AFFINE:
+                                given = transfer.node_momentum(weight, d, momentum, M)
+                            else:
+                                given = la.scale_vector(weight, momentum)
+                            if BY_GRADIENT:
+                                given = transfer.node_impulse(given, slope, tau, minus_impulse)
                             for q in range(DIMENSIONS):
                                 window[i0 + a, j0 + b, k0 + c, q] += given[q]
                             window[i0 + a, j0 + b, k0 + c, 3] += weight * mass
@@ -198,8 +232,8 @@ def moved(place, step):
 
 
 def g2p(
-    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, layer_node, limits, ends, scratch,
-    first_nodes, constants, dt, dx, inv_dx, failure,
+    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, nodes_before, blend, layer_node, limits,
+    ends, scratch, first_nodes, constants, dt, dx, inv_dx, failure,
 ):  # fmt: skip
     before = flush_denormals()
     speed_squared, wave_squared, drift = real(0.0), real(0.0), integer(0)
@@ -217,8 +251,8 @@ def g2p(
                 j0 = segments[s, 3] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
                 k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
                 v = la.scale_vector(0.0, g)
-                B = la.scale(0.0, load_matrix(reals, block, C_FIELD, lane))
-                L = B
+                L = B = la.outer(v, v)
+                v_before = v
                 for a in range(NODES):
                     for b in range(MIDDLE_NODES):
                         for c in range(NODES):
@@ -228,7 +262,10 @@ def g2p(
                             B = transfer.gather_affine(B, weight, v_node, d)
                             if not MLS:
                                 L = transfer.gather_gradient(L, v_node, slope)
-                C = la.scale(INERTIA * inv_dx, B)
+                            if BLENDS:
+                                old = momentum_at(nodes_before, i0 + a, j0 + b, k0 + c)
+                                v_before = transfer.gather_velocity(v_before, weight, old)
+                C = la.scale(INERTIA * inv_dx, B) if BY_INERTIA else la.scale(inv_dx, L)
                 G = la.scale(dt, C) if MLS else la.scale(dt * inv_dx, L)
                 state = law.advance(load_state(reals, block, STATE_FIELD, lane), G, dt, params)
 
@@ -262,27 +299,14 @@ def g2p(
                 elif failure[0] == 0:
                     failure[0], failure[1], failure[2] = cause, block, lane
 
+                if BLENDS:
+                    v = transfer.blend_velocity(v, load_vector(reals, block, V_FIELD, lane), v_before, blend)
                 store(reals, block, V_FIELD, lane, v)
-                store(reals, block, C_FIELD, lane, C)
+                if STORES_C:
+                    store(reals, block, C_FIELD, lane, C)
                 store(reals, block, STATE_FIELD, lane, state)
                 speed_squared = max(speed_squared, la.dot(v, v))
                 wave_squared = max(wave_squared, stability.signal_speed_squared(state, params, density, inv_dx))
                 drift = max(drift, far)
     restore_denormals(before)
     return speed_squared, wave_squared, real(drift) * UNIT
-
-
-def node_of_segment_2(slab, middle, row):
-    """Base node per physical axis."""
-    return (slab, row) if SLAB == 0 else (row, slab)
-
-
-def node_of_segment_3(slab, middle, row):
-    return (
-        node_of_axis(0, slab, middle, row),
-        node_of_axis(1, slab, middle, row),
-        node_of_axis(2, slab, middle, row),
-    )
-
-
-node_of_segment = node_of_segment_2

@@ -160,7 +160,8 @@ def lanes(real, **choices):
 def arrays(real, **choices):
     """Plain numpy over whole arrays, nothing compiled: for output and measurements, off the hot path."""
     array_words = {
-        name: getattr(np, name) for name in ("where", "floor", "sqrt", "exp", "log", "expm1", "log1p", "abs")
+        name: getattr(np, name)
+        for name in ("where", "floor", "sqrt", "exp", "log", "expm1", "log1p", "sin", "cos", "abs")
     }
     array_words |= {"min": np.minimum, "max": np.maximum, "any_of": np.any, "real": real}
     return Target("arrays", real, array_words, lambda function, is_entry: function, choices)

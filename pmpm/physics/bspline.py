@@ -1,7 +1,7 @@
 """B-spline shape functions on the grid: how far a particle reaches, and with what weight.
 
 `g` is the distance, in cells, of the particle from the centre node of its stencil (the nearest node for quadratic, the one
-below for cubic); node n of the stencil lies at n - LOW from the centre.
+below for linear and cubic); node n of the stencil lies at n - LOW from the centre.
 Source: Steffen, Kirby, Berzins, Int. J. Numer. Meth. Eng. 76 (2008) 922.
 """
 
@@ -24,6 +24,19 @@ def weights_quadratic(g):
 def slopes_quadratic(g):
     """dN/dx of the nodes' shape functions at the particle, in 1 / cells."""
     return (g - 0.5, -2.0 * g, g + 0.5)
+
+
+NODES_LINEAR, LOW_LINEAR, ROUND_LINEAR = 2, 0, 0.0
+INERTIA_LINEAR = 0.0  # none: g (1 - g) differs from particle to particle, and vanishes on nodes
+ORIGINS_LINEAR = (1.0, 0.0)
+
+
+def weights_linear(g):
+    return (1.0 - g, g)
+
+
+def slopes_linear(g):
+    return (0.0 * g - 1.0, 0.0 * g + 1.0)
 
 
 NODES_CUBIC, LOW_CUBIC, ROUND_CUBIC, INERTIA_CUBIC = 4, 1, 0.0, 3.0

@@ -26,6 +26,11 @@ def add_scaled_vector(u, a, v):
     return (u[0] + a * v[0], u[1] + a * v[1])
 
 
+def outer(u, v):
+    """u v^T."""
+    return (u[0] * v[0], u[0] * v[1], u[1] * v[0], u[1] * v[1])
+
+
 def add_outer(A, u, v):
     """A + u v^T."""
     return (A[0] + u[0] * v[0], A[1] + u[0] * v[1], A[2] + u[1] * v[0], A[3] + u[1] * v[1])

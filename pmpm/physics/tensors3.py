@@ -26,6 +26,21 @@ def add_scaled_vector(u, a, v):
     return (u[0] + a * v[0], u[1] + a * v[1], u[2] + a * v[2])
 
 
+def outer(u, v):
+    """u v^T."""
+    return (
+        u[0] * v[0],
+        u[0] * v[1],
+        u[0] * v[2],
+        u[1] * v[0],
+        u[1] * v[1],
+        u[1] * v[2],
+        u[2] * v[0],
+        u[2] * v[1],
+        u[2] * v[2],
+    )
+
+
 def add_outer(A, u, v):
     """A + u v^T."""
     return (

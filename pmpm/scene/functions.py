@@ -21,7 +21,7 @@ from pmpm.physics.materials import own_law
 from pmpm.physics.materials.own_law import Law
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.values import finite
-from pmpm.state.fields import COMMON, OUTPUT
+from pmpm.state.fields import COMMON, OPTIONAL, OUTPUT
 
 STRAIN = 1e-5  # of the finite differences around rest: about 1e-10 of error from the step and from rounding
 WITHIN = 1e-4  # how far a given wave speed may miss the one found that way
@@ -30,10 +30,10 @@ STEP = 1e-3  # s, of an advance that is tried
 MOST_NUMBERS = 12  # that kernels know as the state of a particle
 # What a state variable cannot be called, for it has a meaning in the output, beside particles, or in the functions.
 TAKEN = (
-    *(field.name for field in (*COMMON, *OUTPUT)),
+    *(field.name for field in (*COMMON, *OPTIONAL, *OUTPUT)),
     *("F", "G", "dt", "id", "mass", "volume", "volume0", "sound_speed", "model", "Points"),
 )
-WORDS = "exp, expm1, log, log1p, sqrt, abs, min, max, where"
+WORDS = "exp, expm1, log, log1p, sin, cos, sqrt, abs, min, max, where"
 RULES = "see 'A law of your own' in docs/scene.md"
 
 
@@ -63,6 +63,15 @@ def check_law(law: Law) -> None:
     complaint = next(wrong_state(law), None) or next(wrong_arguments(law), None)
     if complaint:
         raise Problems(unfit_problem(law.stress, complaint))
+
+
+def check_compilable(value: Any, arguments: tuple[str, ...]) -> None:
+    """Raise Problems unless `value` is a function of just these arguments that can be compiled."""
+    complaint = next(complaints(value), None)
+    if not complaint and tuple(inspect.signature(value).parameters) != arguments:
+        complaint = f"must take ({', '.join(arguments)}), and nothing else"
+    if complaint:
+        raise Problems(Problem((), f"{complaint}; {RULES}", value))
 
 
 def unfit_problem(value: Any, complaint: object) -> Problem:
@@ -331,6 +340,39 @@ def flat_result(law: Law, kind: str, dim: int, found: Any) -> tuple[Any, ...]:
             raise Unfit(f"must return {form}, with {name} a number")
         flat += value if isinstance(rest, tuple) else [value]
     return tuple(flat)
+
+
+def check_acceleration(function: FunctionType, dim: int, middle: np.ndarray) -> None:
+    """Raise Unfit unless b(x, X, t) gives `dim` finite reals (m/s2) around `middle`, to one particle and to many alike."""
+    places = middle + np.array([[0.0], [0.01], [-0.02]]) * middle
+    one_by_one = [acceleration(function, dim, tuple(map(float, x))) for x in places]
+    x, t = tuple(column.copy().view(Watched) for column in places.T), 0.0
+    try:
+        with np.errstate(all="ignore"):
+            found = targets.arrays(np.float64, la=tensors_of(dim)).compile(function)(x, x, t)
+    except Unfit:
+        raise
+    except Exception as error:
+        raise Unfit(f"fails for many particles at once: {type(error).__name__}: {error}") from None
+    together = np.stack([np.broadcast_to(np.asarray(entry), len(places)) for entry in found], axis=-1)
+    if not np.allclose(one_by_one, together, rtol=1e-9, atol=1e-9 * np.abs(one_by_one).max()):
+        raise Unfit("gives other accelerations to many particles at once than to one of them")
+
+
+def acceleration(function: FunctionType, dim: int, x: tuple[float, ...]) -> tuple[float, ...]:
+    """Return b(x, x, 0). Raises Unfit unless that is an acceleration."""
+    place = f"at x = X = ({', '.join(f'{entry:g}' for entry in x)}), t = 0"
+    try:
+        with np.errstate(all="ignore"):
+            found = targets.plain(la=tensors_of(dim)).compile(function)(x, x, 0.0)
+    except Exception as error:
+        raise Unfit(f"fails in {dim}-D {place}: {type(error).__name__}: {error}") from None
+    if not isinstance(found, tuple) or len(found) != dim:
+        raise Unfit(f"must return a tuple of {dim} accelerations (m/s2)")
+    for value in found:
+        if not isinstance(value, float) or not math.isfinite(value):
+            raise Unfit(f"must return finite reals such as 0.0, not {value}, {place}")
+    return found
 
 
 def watched(columns: Any) -> tuple[Watched, ...]:

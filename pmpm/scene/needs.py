@@ -7,6 +7,7 @@ import numpy as np
 
 from pmpm.kernels.loops import FARTHEST, SETTLED
 from pmpm.kernels.needs import Needs, law_needs
+from pmpm.scene import forcing
 from pmpm.scene.errors import SceneError
 from pmpm.state.grid import Geometry
 
@@ -22,7 +23,20 @@ def scene_needs(scene):
     method = scene.method
     slab_axis = int(np.argmax(scene.cells))
     periodic = tuple("xyz"[axis] in scene.domain.periodic for axis in range(scene.dim))
-    return Needs(scene.dim, method.precision, method.transfer, method.shape_function, slab_axis, periodic, laws, walls)
+    force = scene.body_force
+    return Needs(
+        scene.dim,
+        method.precision,
+        method.transfer,
+        method.shape_function,
+        slab_axis,
+        periodic,
+        laws,
+        walls,
+        body_force=force,
+        uses_reference=force is not None and forcing.reads(force, "X"),
+        loaded=bool(scene.loads),
+    )
 
 
 def grid_geometry(scene, needs):
@@ -84,13 +98,15 @@ def domain_limits(scene, geometry):
 @dataclass(frozen=True)
 class PatchWall:
     """One face in a rank's patch: box (i0, i1, j0, j1, k0, k1) of the nodes just beyond it, the step (di, dj, dk) from there
-    to the nodes on it, normal into the material. A stencil reaches one node beyond."""
+    to the nodes on it, normal into the material, velocity at present. A stencil reaches one node beyond."""
 
     type: str
     box: tuple[int, ...]
     step: tuple[int, int, int]
     normal: np.ndarray
     coefficient: float
+    face: str
+    velocity: np.ndarray
 
     def clipped(self, first_plane, last_plane):
         """The box, as far as it lies on planes first_plane .. last_plane - 1."""
@@ -118,5 +134,6 @@ def patch_walls(scene, geometry, patch, real):
         step = (inward * (place == 0), inward * (place == 1), inward * (place == 2))
         normal = np.zeros(geometry.dim, real)
         normal[axis] = inward
-        walls.append(PatchWall(wall.type, tuple(box), step, normal, real(wall.coefficient)))
+        still = np.zeros(geometry.dim, real)
+        walls.append(PatchWall(wall.type, tuple(box), step, normal, real(wall.coefficient), face, still))
     return walls

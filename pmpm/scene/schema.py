@@ -9,8 +9,9 @@ import numpy as np
 import tomli_w
 from pydantic import BeforeValidator, Field, ValidationError, field_serializer, model_serializer, model_validator
 
+from pmpm.kernels.needs import STENCILS, TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
-from pmpm.scene import files, geostatic, start
+from pmpm.scene import files, forcing, geostatic, start
 from pmpm.scene.functions import Unfit
 from pmpm.scene.geostatic import Geostatic
 from pmpm.scene.materials import AnyMaterial, Material
@@ -25,6 +26,7 @@ PLANNED_WALLS = ("open",)
 FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "density", "material", "speed")
 CFL = 0.4
 DEPTHS = 16  # at which a stress is tried
+FLIP_BLEND = 0.99
 SNAPSHOTS, DIAGNOSTICS = 50, 200
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
 ROUNDING = 1e-9
@@ -40,6 +42,7 @@ class Wall(Part):
     coefficient: Annotated[float, number(at_least=0.0)] = Field(
         default=0.0, description="coefficient of Coulomb friction"
     )
+    velocity: forcing.Velocity = Field(default=None, description="of the wall: vector, or a function of time (m/s)")
 
     @model_validator(mode="after")
     def check_coefficient(self) -> "Wall":
@@ -52,11 +55,16 @@ class Wall(Part):
             raise Problems(
                 Problem(("coefficient",), f"belongs to a friction wall, not to {self.type}", self.coefficient)
             )
+        if self.type == "free" and self.velocity is not None:
+            raise Problems(Problem(("velocity",), "belongs to a wall that holds material, not to free", self.velocity))
         return self
 
     @model_serializer
     def short(self) -> Any:
-        return {"type": self.type, "coefficient": self.coefficient} if self.type == "friction" else self.type
+        own = {"coefficient": self.coefficient} if self.type == "friction" else {}
+        if self.velocity is not None:
+            own["velocity"] = forcing.velocity_text(self.velocity)
+        return {"type": self.type, **own} if own else self.type
 
 
 def wall_table(value: Any) -> Any:
@@ -148,22 +156,45 @@ class Domain(Part):
                 yield Problem(("walls", face), f"is not a known face; {known_text(face, faces, 'faces')}")
             elif face[0] in self.periodic:
                 yield Problem(("walls", face), f"cannot be given: the domain is periodic along {face[0]}")
+            elif self.walls[face].velocity is not None:
+                for problem in forcing.wrong_velocity(self.walls[face].velocity, self.dim):
+                    yield Problem(("walls", face, *problem.path), problem.text, problem.value)
 
 
 class Method(Part):
     """The scheme."""
 
-    PLANNED: ClassVar[tuple[str, ...]] = ("flip_blend",)
-    transfer: Annotated[str, choice(("apic", "mls"), ("pic", "flip"))] = Field(
-        default="apic", description="transfer scheme"
+    transfer: Annotated[str, choice(tuple(TRANSFERS))] = Field(default="apic", description="transfer scheme")
+    flip_blend: Annotated[float | None, number(at_least=0.0, at_most=1.0)] = Field(
+        default=None, description=f"part of FLIP, the rest being PIC, of flip and aflip: {FLIP_BLEND} if not given"
     )
-    shape_function: Annotated[str, choice(("quadratic", "cubic"), ("linear",))] = Field(
+    shape_function: Annotated[str, choice(tuple(STENCILS))] = Field(
         default="quadratic", description="B-spline of the grid"
     )
     integrator: Annotated[str, choice(("explicit",))] = Field(default="explicit", description="time integration")
     precision: Annotated[str, choice(("float32", "float64"))] = Field(
         default="float64", description="of particles and grid"
     )
+
+    damping: Annotated[float, number("1/s", at_least=0.0)] = Field(
+        default=0.0, description="rate at which all motion dies away, to come to rest in quasi-static scenes (1/s)"
+    )
+
+    @model_validator(mode="after")
+    def complete(self) -> "Method":
+        """Check what excludes each other and fill in the blend of FLIP."""
+        scheme = TRANSFERS[self.transfer]
+        if scheme.mls and self.shape_function == "linear":
+            text = (
+                "needs quadratic or cubic splines: of linear ones the matrix D that it divides by is singular on nodes"
+            )
+            raise Problems(Problem(("transfer",), text, self.transfer))
+        if self.flip_blend is not None and not scheme.blends:
+            blending = " and ".join(name for name, other in TRANSFERS.items() if other.blends)
+            raise Problems(Problem(("flip_blend",), f"belongs to {blending}, not to {self.transfer}", self.flip_blend))
+        if scheme.blends and self.flip_blend is None:
+            settle(self, flip_blend=FLIP_BLEND)
+        return self
 
 
 class Time(Part):
@@ -174,6 +205,9 @@ class Time(Part):
         default=None, description=f"fraction of the stable step, {CFL} unless step is given"
     )
     step: Annotated[float | None, number("s", above=0.0)] = Field(default=None, description="a fixed step (s)")
+    ramp: Annotated[float, number("s", at_least=0.0)] = Field(
+        default=0.0, description="time over which gravity and loads grow from nothing to all of them (s)"
+    )
 
     @model_validator(mode="after")
     def complete(self) -> "Time":
@@ -248,6 +282,15 @@ class Scene(Part):
         description="one table for each material, like [materials.sand]"
     )
     bodies: Annotated[tuple[Body, ...], tables("body")] = Field(description="one table [[bodies]] for each body")
+    body_force: forcing.BodyForce = Field(
+        default=None, description="function b(x, X, t): acceleration (m/s2) at a place, a reference place and a time"
+    )
+    loads: Annotated[tuple[forcing.Load, ...], tables("load", least=0)] = Field(
+        default=(), description="one table [[loads]] for each load on a region"
+    )
+    motions: Annotated[tuple[forcing.Motion, ...], tables("motion", least=0)] = Field(
+        default=(), description="one table [[motions]] for each region of the grid that moves as told"
+    )
     output: Output = Field(default=Output(), description="table of what is written")
 
     @classmethod
@@ -282,11 +325,19 @@ class Scene(Part):
 
     def to_toml(self) -> str:
         """Write the scene with all defaults filled in; reading it back gives an equal scene."""
-        return tomli_w.dumps(self.model_dump(exclude_none=True))
+        return tomli_w.dumps({k: v for k, v in self.model_dump(exclude_none=True).items() if v != []})
 
     @field_serializer("bodies")
     def list_of_bodies(self, bodies: tuple[Body, ...]) -> list[dict[str, Any]]:
         return [body.model_dump(exclude_none=True) for body in bodies]
+
+    @field_serializer("loads", "motions")
+    def lists_of_parts(self, parts: tuple[Part, ...]) -> list[dict[str, Any]]:
+        return [part.model_dump(exclude_none=True) for part in parts]
+
+    @field_serializer("body_force")
+    def recorded_force(self, function: Any) -> Any:
+        return function and forcing.mark(function)
 
     @field_serializer("materials")
     def tables_of_materials(self, materials: dict[str, Material]) -> dict[str, dict[str, Any]]:
@@ -297,6 +348,11 @@ class Scene(Part):
         """Check what depends on more than one table and fill in what depends on dimension and duration."""
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_body(body, index)]
         problems += self.wrong_fields()
+        for key, parts in (("loads", self.loads), ("motions", self.motions)):
+            for index, part in enumerate(parts):
+                problems += [Problem((key, index, *p.path), p.text, p.value) for p in part.misfits(self.dim)]
+        if self.body_force is not None:
+            problems += forcing.wrong_body_force(self.body_force, self.dim, self.domain.size)
         for name, material in self.materials.items():
             problems += [
                 Problem(("materials", name, *problem.path), problem.text, problem.value)

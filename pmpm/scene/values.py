@@ -128,13 +128,13 @@ def text() -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def tables(singular: str) -> BeforeValidator:
-    """Accept a list with at least one entry."""
+def tables(singular: str, least: int = 1) -> BeforeValidator:
+    """Accept a list with at least so many entries."""
 
     def check(value: Any) -> Any:
         if not isinstance(value, list | tuple):
             raise Problems(Problem((), f"must be a list with one table for each {singular}", value))
-        if not value:
+        if len(value) < least:
             raise Problems(Problem((), f"must have at least one {singular}", value))
         return list(value)
 

@@ -14,10 +14,10 @@ MASS, VOLUME0, DENSITY, PARAMETERS = 0, 1, 2, 3  # columns of a law's table, one
 class DerivedFields:
     """Fields of one law's particles, each (n, ...) in the order of the population, computed when asked for."""
 
-    def __init__(self, population, law, layout, tensors, geometry, table, real):
-        self.population, self.law, self.layout, self.la = population, law, layout, tensors
+    def __init__(self, population, law, layout, needs, geometry, table, real):
+        self.population, self.law, self.layout, self.affine = population, law, layout, needs.scheme.affine
         self.geometry, self.real = geometry, real
-        self.target = targets.arrays(real, la=tensors, law=law.module, **dict(law.choices))
+        self.target = targets.arrays(real, la=needs.tensors, law=law.module, **dict(law.choices))
         self.row_values = table.astype(real)[population.per_particle(population.block_row)]
         state = population.rows(slice(layout.state_first, layout.size)).astype(real)
         self.state = tuple(np.ascontiguousarray(column) for column in state.T)
@@ -91,18 +91,31 @@ class DerivedFields:
         return self.call(stability.signal_speed_squared, self.params, self.row_values[:, DENSITY],
                          self.real(1.0 / self.geometry.cell_size))  # fmt: skip
 
+    def spin(self):
+        """(n, dim, dim) C D in m2/s, with the angular momentum of the affine field (Jiang et al. 2015, section 5.3)."""
+        dim, C = self.geometry.dim, self.field("C")
+        if not self.affine:
+            return np.zeros((len(self.population), dim, dim))
+        inertia = np.full((len(self.population), dim), 1.0)
+        if self.geometry.stencil.inertia > 0.0:
+            inertia /= self.geometry.stencil.inertia
+        else:  # linear splines: g (1 - g) per axis
+            _, part = self.population.cells(self.geometry.axes)
+            inertia = part * (1.0 - part)
+        return C.astype(np.float64).reshape(-1, dim, dim) * (inertia * self.geometry.cell_size**2)[:, None, :]
+
     def totals(self, gravity):
         """dict of (n,) contributions to the totals of `Simulation.measure`, float64."""
         dim, m, x, v = self.geometry.dim, self.mass(), self.x(), self.velocity().astype(np.float64)
-        C = self.field("C").astype(np.float64).reshape(-1, dim, dim)
-        inertia = self.geometry.cell_size**2 / self.geometry.stencil.inertia
+        spin = self.spin()
         found = {"mass": m}
         for axis in range(dim):
             found[f"momentum_{'xyz'[axis]}"] = m * v[:, axis]
         for axis in (2,) if dim == 2 else (0, 1, 2):
             p, q = (axis + 1) % 3, (axis + 2) % 3
-            spin = inertia * (C[:, q, p] - C[:, p, q])  # of the affine field (Jiang et al. 2015, section 5.3)
-            found[f"angular_momentum_{'xyz'[axis]}"] = m * (x[:, p] * v[:, q] - x[:, q] * v[:, p] + spin)
+            found[f"angular_momentum_{'xyz'[axis]}"] = m * (
+                x[:, p] * v[:, q] - x[:, q] * v[:, p] + spin[:, q, p] - spin[:, p, q]
+            )
         found["kinetic"] = 0.5 * m * (v * v).sum(axis=1)
         found["strain"] = self.volume0() * self.evaluate("energy", self.params)
         found["potential"] = -m * (x @ np.asarray(gravity))

@@ -51,7 +51,12 @@ class Field:
 COMMON = (
     Field("x", "vector", "cells", "position, as a place (see kernels.places); files and users see metres"),
     Field("v", "vector", "m/s", "velocity"),
-    Field("C", "tensor", "1/s", "affine velocity field of APIC"),
+)
+
+OPTIONAL = (
+    Field("C", "tensor", "1/s", "affine velocity field of APIC, or the velocity gradient that viscous stress follows"),
+    Field("X", "vector", "m", "reference position, which a body force asks for"),
+    Field("load", "vector", "m/s2", "acceleration by the loads of the scene"),
 )
 
 OUTPUT = (
@@ -75,12 +80,20 @@ def diagonal(dim):
 class Layout:
     """Where each field of one law's particles begins in a block, and how many reals a particle holds."""
 
-    fields: tuple[Field, ...]
+    common: tuple[Field, ...]
+    state: tuple[Field, ...]
     dim: int
 
     @classmethod
-    def of(cls, law, dim):
-        return cls(COMMON + tuple(map(Field.of, law.fields)), dim)
+    def of(cls, law, dim, carried=()):
+        """`carried`: names of OPTIONAL fields."""
+        return cls(
+            COMMON + tuple(field for field in OPTIONAL if field.name in carried), tuple(map(Field.of, law.fields)), dim
+        )
+
+    @property
+    def fields(self):
+        return self.common + self.state
 
     @property
     def size(self):
@@ -88,7 +101,7 @@ class Layout:
 
     @property
     def state_first(self):
-        return sum(field.size(self.dim) for field in COMMON)
+        return sum(field.size(self.dim) for field in self.common)
 
     def where(self, name):
         """slice of the reals that hold field `name`, or None if the law keeps no such field."""
@@ -101,4 +114,4 @@ class Layout:
 
     def rest_state(self):
         """Flat undeformed state of the law."""
-        return np.concatenate([field.rest_values(self.dim) for field in self.fields[len(COMMON) :]])
+        return np.concatenate([field.rest_values(self.dim) for field in self.state])

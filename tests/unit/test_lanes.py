@@ -5,7 +5,7 @@ What belongs to one element type is compiled as one function, because compiling 
 
 import functools
 import math
-from math import exp, expm1, log, log1p, sqrt
+from math import cos, exp, expm1, log, log1p, sin, sqrt
 
 import law_examples
 import numba
@@ -314,7 +314,10 @@ BOUNDS = {"exp": 0.95, "expm1": 1.9, "log": 1.1, "log1p": 1.1, "sqrt": 0.5}
 LIMITS = {np.float32: (-87.0, 88.0), np.float64: (-708.0, 709.0)}
 
 
-def functions(values, out_exp, out_expm1, out_log, out_log1p, out_sqrt):
+ANGLES = ("sin", "cos")
+
+
+def functions(values, out_exp, out_expm1, out_log, out_log1p, out_sqrt, out_sin, out_cos):
     for k in range(len(values) // 16):
         x = load(values, 16 * k)
         store(out_exp, 16 * k, exp(x))
@@ -322,6 +325,8 @@ def functions(values, out_exp, out_expm1, out_log, out_log1p, out_sqrt):
         store(out_log, 16 * k, log(x))
         store(out_log1p, 16 * k, log1p(x))
         store(out_sqrt, 16 * k, sqrt(x))
+        store(out_sin, 16 * k, sin(x))
+        store(out_cos, 16 * k, cos(x))
 
 
 @functools.cache
@@ -334,7 +339,7 @@ def functions_of(values, real):
     room = -(-len(values) // 16) * 16
     padded = np.ones(room, real)
     padded[: len(values)] = values
-    outs = {name: np.zeros(room, real) for name in BOUNDS}
+    outs = {name: np.zeros(room, real) for name in (*BOUNDS, *ANGLES)}
     compiled_functions(real)(padded, *outs.values())
     return {name: out[: len(values)] for name, out in outs.items()}
 
@@ -377,6 +382,28 @@ def test_functions_are_as_accurate_as_stated(name, real):
     exact_is_normal = np.abs(exact) >= np.finfo(real).tiny
     found = units_in_the_last_place(functions_of(x, real)[name], exact, real)[exact_is_normal]
     assert found.max() <= BOUNDS[name] + 2.0**-10  # the wider format is rounded too
+
+
+@on_each_real
+@pytest.mark.parametrize("name", ANGLES)
+def test_sine_and_cosine_are_within_one_eps_up_to_1e4(name, real):
+    """In units of the eps of 1, their largest value; around their zeros, too, and for tiny angles to the last place."""
+    rng = np.random.default_rng(8)
+    x = np.concatenate(
+        [rng.uniform(-1e4, 1e4, 1 << 17), rng.uniform(-4.0, 4.0, 1 << 17), np.arange(-999, 999) * math.pi / 2]
+    )
+    x = x.astype(real)
+    exact = getattr(np, name)(x.astype(np.longdouble))
+    assert np.abs(functions_of(x, real)[name] - exact).max() <= np.finfo(real).eps
+    tiny = np.exp2(-rng.uniform(1.0, 100.0, 1000)).astype(real)
+    found = functions_of(tiny, real)
+    assert (np.abs(found["sin"] - np.sin(tiny.astype(np.longdouble))) <= 1.5 * np.spacing(tiny)).all()
+
+
+@on_each_real
+@pytest.mark.parametrize("name", ANGLES)
+def test_sine_and_cosine_of_what_is_no_angle_are_nan(name, real):
+    assert np.isnan(functions_of(np.array([np.inf, -np.inf, np.nan, 2.0**31, -(2.0**31)], real), real)[name]).all()
 
 
 @on_each_real

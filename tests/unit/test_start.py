@@ -113,7 +113,10 @@ def test_a_fluid_starts_with_the_volume_ratio_of_its_deformation():
 
 
 def test_the_step_knows_of_the_deformation_at_the_start():
-    assert start(deformation=[[3.0, 0.0], [0.0, 3.0]])["particles"].simulation.dt < 0.7 * start()["particles"].simulation.dt
+    assert (
+        start(deformation=[[3.0, 0.0], [0.0, 3.0]])["particles"].simulation.dt
+        < 0.7 * start()["particles"].simulation.dt
+    )
 
 
 # ---- the record ----
@@ -144,7 +147,9 @@ def test_the_record_of_a_function_changes_with_what_it_reaches():
 
 
 def test_a_scene_file_with_a_function_of_position_is_refused_and_names_it():
-    with pytest.raises(pmpm.SceneError, match=r"bodies\[0\].velocity = .*a file does not hold: give swirl here") as raised:
+    with pytest.raises(
+        pmpm.SceneError, match=r"bodies\[0\].velocity = .*a file does not hold: give swirl here"
+    ) as raised:
         pmpm.Scene.from_text(scene(velocity=swirl).to_toml())
     assert not isinstance(raised.value, NotBuilt)
 
@@ -237,7 +242,9 @@ def test_a_function_that_fails_at_one_particle_only_is_told_with_its_place():
     def spot(X):
         return np.where(np.abs(X - [0.2125, 0.1125]).max(axis=1) < 1e-6, np.nan, 0.0)[:, None] + 0.0 * X
 
-    with pytest.raises(pmpm.SceneError, match=r"bodies\[0\].velocity = spot must return finite .* at X = \(0.2125, 0.1125\)"):
+    with pytest.raises(
+        pmpm.SceneError, match=r"bodies\[0\].velocity = spot must return finite .* at X = \(0.2125, 0.1125\)"
+    ):
         pmpm.Simulation(scene(velocity=spot))
 
 

@@ -1,0 +1,110 @@
+"""What drives a simulation from outside at a given time: gravity, loads, walls and regions in motion."""
+
+import numpy as np
+
+from pmpm.kernels.lanes import WIDTH
+from pmpm.scene.forcing import velocity_at
+
+
+class Drive:
+    """The outside of a scene as one rank's patch meets it. `start` takes the time of a step, the rest follows from it."""
+
+    def __init__(self, scene, real):
+        self.scene, self.real, self.dim = scene, real, scene.dim
+        self.gravity = np.array(scene.domain.gravity)
+        self.has_gravity = bool(self.gravity.any())
+        self.gravity_row = np.tile(np.append(self.gravity, np.zeros(4 - self.dim)), WIDTH // 4).astype(real)
+        self.damping = scene.method.damping
+        self.regions = [Region(motion, self.dim) for motion in scene.motions]
+        self.time, self.factor = 0.0, real(1.0)
+
+    def meet(self, geometry, patch, walls):
+        """Take note of a new patch and its walls."""
+        self.walls = [wall for wall in walls if self.scene.domain.wall(wall.face).velocity is not None]
+        for region in self.regions:
+            region.meet(geometry, patch)
+        self.start(self.time)
+
+    def start(self, time):
+        """Set what acts in a step that begins at `time` (s)."""
+        self.time, ramp = time, self.scene.time.ramp
+        self.factor = self.real(min(time / ramp, 1.0) if ramp > 0.0 else 1.0)
+        for wall in self.walls:
+            wall.velocity[:] = velocity_at(self.scene.domain.wall(wall.face).velocity, time)
+        for region in self.regions:
+            region.start(time)
+
+    def finish(self, dt):
+        """Let regions travel through a step."""
+        for region in self.regions:
+            region.travel(dt)
+
+    def gravity_gain(self, dt):
+        """Velocity that gravity gives to a row of four nodes."""
+        return self.gravity_row * (self.factor * self.real(dt))
+
+    def kept(self, dt):
+        """What damping leaves of a row of four nodes' momenta and masses."""
+        row = np.full(WIDTH, np.exp(-self.damping * dt), self.real)
+        row[3::4] = 1.0
+        return row
+
+
+class Region:
+    """Nodes of a patch that move as told."""
+
+    def __init__(self, motion, dim):
+        self.motion, self.travelled = motion, np.zeros(dim)
+        self.velocity = np.zeros(dim)
+
+    def meet(self, geometry, patch):
+        self.geometry, self.patch, self.found = geometry, patch, None
+
+    def start(self, time):
+        self.velocity = np.array(velocity_at(self.motion.velocity, time))
+
+    def travel(self, dt):
+        if self.motion.moves and self.velocity.any():
+            self.travelled += float(dt) * self.velocity
+            self.found = None
+
+    def nodes(self):
+        """(planes, middles, rows) numbers of the nodes of the patch that lie in the region now."""
+        if self.found is None:
+            self.found = nodes_inside(self.motion.shape, self.travelled, self.geometry, self.patch)
+        return self.found
+
+    def impose(self, nodes, first, last):
+        """Give its velocity to nodes on planes first .. last - 1 that hold material."""
+        i, j, k = self.nodes()
+        here = (i >= first) & (i < last)
+        i, j, k = i[here], j[here], k[here]
+        held = nodes[i, j, k, 3] > 0.0
+        nodes[i[held], j[held], k[held], : len(self.velocity)] = self.velocity
+
+
+def nodes_inside(shape, shift, geometry, patch):
+    """Numbers (planes, middles, rows) of a patch's nodes inside a shape that has moved by `shift` (m)."""
+    low, high = shape.bounds()
+    ranges, coordinates = [], []
+    for place, axis in enumerate(geometry.axes):
+        if axis < 0:
+            ranges.append(np.zeros(1, np.int64))
+            continue
+        first = patch.first_plane if place == 0 else -geometry.stencil.reach_low
+        number = np.arange(patch.nodes.shape[place])
+        node = first + number
+        if geometry.periodic[axis]:
+            node = node % geometry.cells[axis]
+        x = node * geometry.cell_size
+        near = (x >= low[axis] + shift[axis]) & (x <= high[axis] + shift[axis])
+        ranges.append(number[near])
+        coordinates.append((axis, place, x[near]))
+    mesh = np.meshgrid(*ranges, indexing="ij")
+    points = np.empty((mesh[0].size, geometry.dim))
+    shape_of = [len(numbers) for numbers in ranges]
+    for axis, place, x in coordinates:
+        along = np.reshape(x, [-1 if p == place else 1 for p in range(3)])
+        points[:, axis] = np.broadcast_to(along, shape_of).ravel() - shift[axis]
+    inside = shape.contains(points)
+    return tuple(numbers.ravel()[inside] for numbers in mesh)

@@ -1,0 +1,145 @@
+"""What drives the material of a scene from outside, besides gravity: a body force, loads, walls and regions in motion."""
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator
+from types import FunctionType
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, Field, field_serializer, model_validator
+
+from pmpm.scene import functions
+from pmpm.scene.messages import Problem, Problems
+from pmpm.scene.part import Part
+from pmpm.scene.shapes import Shape, wrong_length
+from pmpm.scene.values import check_vector, flag, vector
+
+Path = tuple[str | int, ...]
+
+
+def mark(function: Callable) -> str:
+    """Return what a run's scene.toml says in the place of a function: its name and a hash of its code."""
+    code = getattr(function, "__code__", None)
+    text = repr((code.co_code, code.co_consts, code.co_names)) if code else repr(function)
+    name = getattr(function, "__name__", type(function).__name__)
+    return f"python:{name}:{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+
+
+def refuse_mark(value: Any) -> None:
+    """Raise Problems where a file names a function that it does not hold."""
+    if isinstance(value, str) and value.startswith("python:"):
+        name = value.split(":")[1]
+        raise Problems(Problem((), f"is a Python function, which a file does not hold: give {name} from Python", value))
+
+
+# ---- velocities that may change with time --------------------------------------------------------------------------------
+
+
+def velocity_or_function(value: Any) -> Any:
+    """Accept a vector, or a function of time (s) that returns one; what it returns is checked with the dimension."""
+    refuse_mark(value)
+    return value if callable(value) else check_vector("m/s")(value)
+
+
+def velocity_at(velocity: Any, time: float) -> tuple[float, ...]:
+    """Return a velocity (m/s) that may be a function of time (s)."""
+    return tuple(map(float, velocity(time))) if callable(velocity) else velocity
+
+
+def wrong_velocity(velocity: Any, dim: int) -> Iterator[Problem]:
+    """Yield what does not fit: at the start, if it is a function."""
+    if not callable(velocity):
+        yield from wrong_length("velocity", velocity, dim)
+        return
+    try:
+        found = velocity_at(velocity, 0.0)
+    except Exception as error:
+        yield Problem(("velocity",), f"fails at t = 0 s: {type(error).__name__}: {error}", mark(velocity))
+        return
+    if len(found) != dim or not all(map(math.isfinite, found)):
+        yield Problem(("velocity",), f"must return {dim} finite numbers (m/s), not {found} at t = 0 s", mark(velocity))
+
+
+Velocity = Annotated[Any, BeforeValidator(velocity_or_function)]
+
+
+def velocity_text(velocity: Any) -> Any:
+    return mark(velocity) if callable(velocity) else velocity
+
+
+# ---- loads and regions -----------------------------------------------------------------------------------------------------
+
+
+class Load(Part):
+    """A force on the particles that lie in a shape at the start; it stays with them."""
+
+    shape: Shape = Field(description="table with a type and its measures: which particles, at the start")
+    force: Annotated[tuple[float, ...] | None, vector("N")] = Field(
+        default=None,
+        description="on all of them together, spread by volume: a traction, if they are a thin layer (N, 2-D: N/m)",
+    )
+    acceleration: Annotated[tuple[float, ...] | None, vector("m/s2")] = Field(
+        default=None, description="of each, instead of force (m/s2)"
+    )
+
+    @model_validator(mode="after")
+    def check_kind(self) -> "Load":
+        if (self.force is None) == (self.acceleration is None):
+            given = "both" if self.force is not None else "none"
+            raise Problems(Problem((), f"must give exactly one of force (N) and acceleration (m/s2), not {given}"))
+        return self
+
+    def misfits(self, dim: int) -> Iterator[Problem]:
+        """Yield what does not fit a scene of `dim` dimensions."""
+        for name in ("force", "acceleration"):
+            if getattr(self, name) is not None:
+                yield from wrong_length(name, getattr(self, name), dim)
+        yield from (Problem(("shape", *p.path), p.text, p.value) for p in self.shape.misfits(dim))
+
+
+class Motion(Part):
+    """A region of the grid that moves as told: a platen, a plug, a paddle."""
+
+    shape: Shape = Field(description="table with a type and its measures: which nodes, at the start")
+    velocity: Velocity = Field(description="vector, or a function of time (m/s)")
+    moves: Annotated[bool, flag()] = Field(default=True, description="whether the region travels with its velocity")
+
+    def misfits(self, dim: int) -> Iterator[Problem]:
+        """Yield what does not fit a scene of `dim` dimensions."""
+        yield from wrong_velocity(self.velocity, dim)
+        yield from (Problem(("shape", *p.path), p.text, p.value) for p in self.shape.misfits(dim))
+
+    @field_serializer("velocity")
+    def recorded_velocity(self, velocity: Any) -> Any:
+        return velocity_text(velocity)
+
+
+# ---- body force ----------------------------------------------------------------------------------------------------------
+
+
+def body_force_function(value: Any) -> Any:
+    """Accept a function b(x, X, t) of plain Python that kernels can compile."""
+    refuse_mark(value)
+    functions.check_compilable(value, ("x", "X", "t"))
+    return value
+
+
+def reads(function: FunctionType, argument: str) -> bool:
+    """Say whether a function uses one of its arguments."""
+    import dis
+
+    return any(
+        argument in np.atleast_1d(step.argval) for step in dis.get_instructions(function) if "FAST" in step.opname
+    )
+
+
+def wrong_body_force(function: Any, dim: int, size: tuple[float, ...]) -> Iterator[Problem]:
+    """Yield what a body force gets wrong in the middle of the domain, for one particle and for many."""
+    try:
+        functions.check_acceleration(function, dim, 0.5 * np.array(size))
+    except functions.Unfit as complaint:
+        yield Problem(("body_force",), f"{complaint}; {functions.RULES}", mark(function))
+
+
+BodyForce = Annotated[Any, BeforeValidator(body_force_function)]
