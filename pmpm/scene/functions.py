@@ -288,7 +288,7 @@ def arguments(kind: str, state: Any, G: Any, params: Any) -> tuple[Any, ...]:
 
 def check_call(law: Law, kind: str, dim: int, numbers: tuple[float, ...]) -> None:
     """Raise Unfit, naming the function, unless it gives what it should to one particle and the same to many."""
-    name = f"has a {kind} function, {law.functions[kind].__name__}, that"
+    name = f"has {law.functions[kind].__name__} for {kind}, which"
     tried = near_rest(dim)
     G = TRIED * np.outer((1.0, -0.5, 0.5), np.cos(np.arange(1.0, dim * dim + 1.0)))
     one_by_one = []

@@ -11,6 +11,7 @@ import own_laws
 import pytest
 
 import pmpm
+from pmpm.parallel.comm import Alone
 from pmpm.physics import tensors2 as la
 from pmpm.physics.words import where
 from pmpm.run import run_scene
@@ -55,7 +56,7 @@ def scene(law, dim=2, **more):
         time={"end": 0.01, "step": 5e-4},
         materials={"stuff": KEYS | {"model": law} | more},
         bodies=[{"material": "stuff", "shape": {"type": "box", "min": low, "max": high}}],
-        output={"fields": ["J", *(name for name, _ in getattr(law, "state", ()))], "snapshot_interval": 0.01},
+        output={"fields": ["J", *(["age"] if law is AGEING else [])], "snapshot_interval": 0.01},
     )
 
 
@@ -101,7 +102,7 @@ def test_a_tuple_is_a_state_variable_of_several_numbers():
 
 
 def test_state_variables_are_written_to_snapshots(tmp_path):
-    simulation = run_scene(scene(AGEING), tmp_path / "run", None, quiet=True)
+    simulation = run_scene(scene(AGEING), tmp_path / "run", Alone(), quiet=True)
     with h5py.File(sorted((tmp_path / "run" / "snapshots").iterdir())[-1]) as file:
         age = file["pmpm/python:ageing/age"][...]
         assert np.array_equal(file["VTKHDF/PointData/age"][...], age)
@@ -204,13 +205,13 @@ BAD = [
     ("no name", law(state={"my age": 0.5}), "must not call a state variable 'my age'"),
     ("keyword", law(state={"lambda": 0.5}), "must not call a state variable 'lambda'"),
     ("too many", law(state={"age": (0.0,) * 9}), "keeps 13 numbers in 2-D, 4 of F and 9 of its state; kernels know up to 12"),
-    ("flat", law(advance=flat), "has a advance function, flat, that must return (F, age)"),
+    ("flat", law(advance=flat), "has flat for advance, which must return (F, age)"),
     ("F missing", law(advance=ageless), "must return (F, age)"),
     ("constant F", law(advance=constant), "must make F from the F and G of the particle"),
-    ("if", law(advance=branching), "branching, that must not use if, and, or"),
-    ("whole number", law(advance=whole), "whole, that mixes the whole number 2 with reals"),
+    ("if", law(advance=branching), "branching for advance, which must not use if, and, or"),
+    ("whole number", law(advance=whole), "whole for advance, which mixes the whole number 2 with reals"),
     ("lambda", law(energy=lambda F: 0.0), "must be a plain function made by def"),
-    ("energy of two", law(energy=pair), "pair, that must return one number, not a tuple"),
+    ("energy of two", law(energy=pair), "pair for energy, which must return one number, not a tuple"),
     ("valid with parameters", law(valid=never), "must have a valid function of F and state variables only, not of mu"),
     ("valid without a comparison", law(valid=loose), "must return a comparison"),
     ("step in stress", law(stress=stay, state={}), "must not take G in stress"),
