@@ -64,6 +64,8 @@ class RankParser(argparse.ArgumentParser):
 
 
 def parser(rank=0):
+    from pmpm.point import options
+
     RankParser.rank = rank
     top = RankParser(prog="pmpm", description="Distributed Material Point Method solver.", allow_abbrev=False)
     top.add_argument("--version", action="version", version=f"pmpm {__version__}")
@@ -86,6 +88,7 @@ def parser(rank=0):
     add_scene(check)
     commands.add_parser("scenes", help="list the built-in scenes")
     commands.add_parser("materials", help="list material models, their keys, units and sources")
+    options.add_point(commands)
     info = commands.add_parser("info", help="what a run folder or snapshot holds")
     info.add_argument("path", metavar="PATH")
     for name, meaning in NOT_BUILT.items():
@@ -182,6 +185,15 @@ def materials(options, comm):
     return FINISHED
 
 
+def point(options, comm):
+    from pmpm.point.command import point as drive
+
+    text, failure = drive(options) if comm.rank == 0 else ("", None)
+    if comm.rank == 0:
+        print(text)
+    return complain(f"stopped: {failure}", comm.rank, FAILED) if failure else FINISHED
+
+
 def info(options, comm):
     from pmpm.output.reader import describe
 
@@ -191,4 +203,4 @@ def info(options, comm):
     return FINISHED
 
 
-COMMANDS = {"run": run, "check": check, "scenes": scenes, "materials": materials, "info": info}
+COMMANDS = {"run": run, "check": check, "scenes": scenes, "materials": materials, "point": point, "info": info}

@@ -101,7 +101,13 @@ class Simulation:
         )
         self.first_layer, self.last_layer = self.slabs.owned(self.comm.rank)
         self.patch = Patch(
-            self.geometry, self.first_layer, self.last_layer, len(self.needs.laws), self.real, self.needs.scheme.blends
+            self.geometry,
+            self.first_layer,
+            self.last_layer,
+            len(self.needs.laws),
+            self.real,
+            self.needs.scheme.blends,
+            self.needs.f_bar,
         )
         self.halo = Halo(self.comm, self.slabs, self.patch, self.kernels)
         self.walls = patch_walls(self.scene, self.geometry, self.patch, self.real)
@@ -152,6 +158,9 @@ class Simulation:
     def warm_up(self):
         if self.needs.scheme.blends:
             self.scatter(0, 0, 0.0, self.kernels.p2g_before)
+        if self.needs.f_bar:
+            self.scatter(0, 0, 0.0, self.kernels.p2g_divergence)
+            self.measure_divergence(0)
         self.scatter(0, 0, 0.0)
         self.update_planes(0, 0, 0.0)
         self.g2p(0, 0, self.real(0), np.zeros(4))
@@ -227,6 +236,14 @@ class Simulation:
         shared = self.needs.stencil.window - 1
         low, high = shared * self.halo.low_shared, shared * self.halo.high_shared
         inner = (low, max(low, layers - high))
+        if self.needs.f_bar:  # averages come first: nothing to do meanwhile
+            self.halo.finish(posted)
+            self.widen_boxes()
+            self.update_planes(0, planes, dt)
+            self.average_divergence(dt)
+            self.g2p(0, layers, dt, extremes)
+            self.end_step(dt, extremes, now)
+            return
         self.widen_boxes()
         self.update_planes(low, planes - high, dt)
         self.g2p(*inner, dt, extremes)
@@ -239,13 +256,17 @@ class Simulation:
             self.update_planes(max(planes - high, 0), planes, dt)
             self.g2p(0, min(inner[0], layers), dt, extremes)
             self.g2p(inner[1], layers, dt, extremes)
+        self.end_step(dt, extremes, now)
+
+    def end_step(self, dt, extremes, began):
+        """Let the next steps know what this one has found."""
         if self.failed and self.failure is None:
             self.failure = failure.describe(self, *min(self.failed))
         if self.failure is not None:
             extremes[3] = -self.failure["step"]
         self.drive.finish(dt)
         self.control.start(self.step_count + 1, float(dt), extremes)
-        self.timers.add("g2p", now)
+        self.timers.add("g2p", began)
 
     def keep_velocities(self, dt):
         """Fill the grid without impulses and keep its velocities: what a blend takes from those after the step.
@@ -257,6 +278,31 @@ class Simulation:
         self.widen_boxes()
         self.update_planes(0, self.patch.planes, dt, driven=False)
         self.patch.before[:] = self.patch.nodes
+
+    def average_divergence(self, dt):
+        """Average the divergence of the velocities on the nodes, which stay there, for F-bar.
+
+        Nodes near walls need no images: what they hold is divided by the volume that they hold it of.
+        """
+        patch = self.patch
+        self.measure_divergence(self.last_layer - self.first_layer)
+        patch.velocities[:] = patch.nodes
+        self.scatter(0, self.last_layer - self.first_layer, dt, self.kernels.p2g_divergence)
+        self.halo.finish(self.halo.start())
+        self.widen_boxes()
+        if self.wraps:
+            self.wrap_planes(patch.nodes)
+        self.kernels.divide_by_mass(patch.nodes, patch.boxes, 0, patch.planes)
+        patch.divergences[:] = patch.nodes
+        patch.nodes[:] = patch.velocities
+
+    def measure_divergence(self, layers):
+        kernels = self.kernels
+        for kernel, p in zip(kernels.measure_divergence, self.populations, strict=True):
+            kernel(
+                p.reals, p.places, p.segments, p.layer_start, 0, layers, self.patch.nodes, kernels.scratch,
+                kernels.first_nodes, kernels.constants, self.inv_dx,
+            )  # fmt: skip
 
     def scatter(self, first, last, dt, p2g=None):
         """Particles of layers first .. last - 1 (this rank's counting) to nodes; forgets what the nodes held.
@@ -326,8 +372,8 @@ class Simulation:
         for number, (kernel, p) in enumerate(zip(self.kernels.g2p, self.populations, strict=True)):
             found = kernel(
                 p.reals, p.places, p.segments, p.layer_start, first, last, self.kernel_tables[number], self.patch.nodes,
-                self.patch.before, self.blend, self.first_layer, self.limits, self.ends, kernels.scratch,
-                kernels.first_nodes, kernels.constants, dt, self.dx, self.inv_dx, failure,
+                self.patch.before, self.blend, self.patch.divergences, self.first_layer, self.limits, self.ends,
+                kernels.scratch, kernels.first_nodes, kernels.constants, dt, self.dx, self.inv_dx, failure,
             )  # fmt: skip
             np.maximum(extremes[:3], found, out=extremes[:3])
             if failure[0]:

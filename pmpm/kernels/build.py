@@ -30,12 +30,15 @@ VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
 
 @dataclass(frozen=True)
 class Kernels:
-    """Entry kernels: p2g and g2p per law, p2g without impulses for schemes that blend velocities, `shared` by name, walls and
+    """Entry kernels: p2g and g2p per law, p2g without impulses for schemes that blend velocities, p2g of
+    the divergence and what measures it for F-bar, `shared` by name, walls and
     images by wall type; and what the lanes work in."""
 
     p2g: tuple[Any, ...]
     g2p: tuple[Any, ...]
     p2g_before: tuple[Any, ...]
+    p2g_divergence: tuple[Any, ...]
+    measure_divergence: tuple[Any, ...]
     shared: dict[str, Any]
     walls: dict[str, Any]
     images: dict[str, Any]
@@ -55,6 +58,8 @@ class Kernels:
             **{f"p2g {i}": kernel for i, kernel in enumerate(self.p2g)},
             **{f"g2p {i}": kernel for i, kernel in enumerate(self.g2p)},
             **{f"p2g before {i}": kernel for i, kernel in enumerate(self.p2g_before)},
+            **{f"p2g divergence {i}": kernel for i, kernel in enumerate(self.p2g_divergence)},
+            **{f"divergence {i}": kernel for i, kernel in enumerate(self.measure_divergence)},
             **self.shared,
             **{f"wall {name}": kernel for name, kernel in self.walls.items()},
             **{f"image {name}": kernel for name, kernel in self.images.items()},
@@ -119,6 +124,7 @@ def scene_choices(needs):
         "BY_INERTIA": needs.affine_by_inertia,
         "MLS": needs.scheme.mls,
         "BLENDS": needs.scheme.blends,
+        "F_BAR": needs.f_bar,
         "FORCED": needs.body_force is not None,
         "body_force": needs.body_force or loops.no_force,
         "LOADED": needs.loaded,
@@ -137,6 +143,7 @@ def scalar_choices(needs):
     """What the scalar loops take besides."""
     two = needs.dim == 2
     return {
+        "along_first": lane_loops.along_first_2 if two else lane_loops.along_first_3,
         "load_vector": scalar_loops.FIELD_TUPLES[needs.dim],
         "load_matrix": scalar_loops.FIELD_TUPLES[needs.dim**2],
         "along_axes": scalar_loops.along_axes_2 if two else scalar_loops.along_axes_3,
@@ -156,7 +163,7 @@ def lane_choices(needs):
     by_middle = {name: getattr(lane_loops, f"{name}_{across}") for name in ("add_slab", "flush_slab", "gather_slab")}
     by_dimension = {
         name: getattr(lane_loops, f"{name}_{needs.dim}")
-        for name in ("store_column", "store_constant", "vector", "matrix", "position")
+        for name in ("store_column", "store_constant", "vector", "matrix", "position", "along_first")
     }
     return {
         "LINE": CACHE_LINE // np.dtype(needs.precision).itemsize,
@@ -171,6 +178,7 @@ def lane_choices(needs):
         "vector_of": by_dimension["vector"],
         "matrix_of": by_dimension["matrix"],
         "position_of": by_dimension["position"],
+        "along_first": by_dimension["along_first"],
         **by_nodes,
         **by_middle,
     }
@@ -178,13 +186,14 @@ def lane_choices(needs):
 
 def law_choices(law, layout, parameter_count, tuples, real):
     """Constants and functions of one law."""
-    first = {name: where.start if (where := layout.where(name)) else 0 for name in ("C", "X", "load")}
+    first = {name: where.start if (where := layout.where(name)) else 0 for name in ("C", "X", "load", "divergence")}
     return dict(law.choices) | {
         "law": law.module,
         "FIELDS": layout.size,
         "C_FIELD": first["C"],
         "STORES_C": layout.where("C") is not None,
         "REFERENCE_FIELD": first["X"],
+        "DIVERGENCE_FIELD": first["divergence"],
         "LOAD_FIELD": first["load"],
         "STATE_FIELD": layout.state_first,
         "LINES": -(-layout.size * real.itemsize // CACHE_LINE),
@@ -204,7 +213,7 @@ def build(needs, layouts, parameter_counts, kind):
     own = lane_choices(needs) if module is lane_loops else scalar_choices(needs)
     scene = scene_choices(needs)
     general = targets.scalar(real, **scene)
-    p2g, g2p, p2g_before = [], [], []
+    p2g, g2p, p2g_before, p2g_divergence, measure_divergence = [], [], [], [], []
     for law, layout, count in zip(needs.laws, layouts, parameter_counts, strict=True):
         of_law = law_choices(law, layout, count, module.FIELD_TUPLES, np.dtype(real))
         target = make(real, **scene, **own, **of_law, IMPULSE=True, BY_GRADIENT=not needs.scheme.mls)
@@ -212,6 +221,11 @@ def build(needs, layouts, parameter_counts, kind):
         if needs.scheme.blends:
             before = make(real, **scene, **own, **of_law, IMPULSE=False, BY_GRADIENT=False)
             p2g_before.append(before.entry(module.p2g))
+        if needs.f_bar:
+            divergence = {"IMPULSE": False, "BY_GRADIENT": False, "DIVERGENCE": True, "AFFINE": False}
+            p2g_divergence.append(make(real, **(scene | own | of_law | divergence)).entry(module.p2g))
+            of_particles = make(real, **(scene | own | of_law | {"MLS": False, "BY_INERTIA": False}))
+            measure_divergence.append(of_particles.entry(module.measure_divergence))
         g2p.append(target.entry(module.g2p))
     walls, images = {}, {}
     frictionless = {"separate"} if needs.scheme.blends and "friction" in needs.wall_types else set()
@@ -228,6 +242,8 @@ def build(needs, layouts, parameter_counts, kind):
         tuple(p2g),
         tuple(g2p),
         tuple(p2g_before),
+        tuple(p2g_divergence),
+        tuple(measure_divergence),
         shared,
         walls,
         images,

@@ -65,11 +65,13 @@ NODES, INERTIA = 3, 4.0
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 # What the transfer does. AFFINE: particles have an affine field; BY_INERTIA: C from its sums, else from the gradient; MLS:
 # forces without weight gradients; BLENDS: a part of the particle's own velocity is kept; IMPULSE: P2G adds what changes
-# velocities; STORES_C: particles keep C, whoever asks for it.
+# velocities; STORES_C: particles keep C, whoever asks for it; F_BAR: G2P takes the divergence from nodes, for which DIVERGENCE
+# lets P2G tell volumes and divergences in place of masses and velocities.
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True
 BY_GRADIENT = True  # IMPULSE and not MLS
-VISCOUS = FORCED = LOADED = PERIODIC_MIDDLE = PERIODIC_ROW = False
+DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = PERIODIC_MIDDLE = PERIODIC_ROW = False
 FIELDS, V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 12, 2, 4, 8, 8, 8
+DIVERGENCE_FIELD = 8
 body_force = no_force
 OFFSETS = (-1.0, 0.0, 1.0)
 
@@ -81,9 +83,9 @@ ROW_G = 384
 QUAD_SLAB, QUAD_MIDDLE, QUAD_ROW, QUAD_CONSTANT = 400, 464, 528, 592
 QUAD_F_SLAB, QUAD_F_MIDDLE, QUAD_F_ROW = 656, 720, 784
 GATHERED, GRADIENTS = 400, 656
-BEFORE, CAUSES = 912, 1168
+BEFORE, DIVERGENCES, CAUSES = 912, 1168, 1424
 AHEAD, LINE, LINES = 2, 8, 2  # blocks fetched ahead; reals of a cache line; lines per particle
-SCRATCH = 1184
+SCRATCH = 1440
 # Of the constants of a row: distances of its nodes, origins, then the coefficients of weights and slopes.
 ROW_DISTANCE, ROW_ORIGIN, ROW_WEIGHT, ROW_SLOPE = 0, 16, 32, 96
 CONSTANTS = 160
@@ -446,6 +448,18 @@ def position_3(places, o, base, dx):
 position_of = position_2
 
 
+def along_first_2(value):
+    """A vector along the first axis."""
+    return (value, 0.0 * value)
+
+
+def along_first_3(value):
+    return (value, 0.0 * value, 0.0 * value)
+
+
+along_first = along_first_2
+
+
 def momentum_block(
     reals, o, table, mass, volume0, params, dt, dx, inv_dx, places, base, time, load_factor,
 ):  # fmt: skip
@@ -461,6 +475,8 @@ def momentum_block(
             v = la.add_scaled_vector(v, dt, body_force(x, X, time))
         if LOADED:
             v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, o + 16 * LOAD_FIELD))
+    if DIVERGENCE:
+        mass, v = volume0, along_first(load(reals, o + 16 * DIVERGENCE_FIELD))
     store_constant(table, QUAD_CONSTANT, la.scale_vector(mass, v), mass)
     if AFFINE:
         M = transfer.affine_momentum(mass, load_matrix(reals, o + 16 * C_FIELD), dx)
@@ -643,12 +659,12 @@ def gather(nodes, o, plane, row, table, constants, lane):
             store(table, GRADIENTS + 16 * lane, sum_nodes(first, w * L_slab, zero, L_row))
 
 
-def gather_before(nodes, o, plane, row, table, constants, lane):
-    """The sum of velocities alone, into scratch."""
+def gather_velocity(nodes, o, plane, row, table, constants, lane, column):
+    """The sum of velocities alone, into a column of scratch."""
     zero = in_all_lanes(real(0.0))
     sums = gather_slabs((zero, zero, zero, zero, zero), nodes, o, plane, row, table, lane)
     w = row_weights(constants, ROW_WEIGHT, in_all_lanes(table[ROW_G + lane]) - load(constants, ROW_ORIGIN))
-    store(table, BEFORE + 16 * lane, sum_nodes(w * sums[0], zero, zero, zero))
+    store(table, column + 16 * lane, sum_nodes(w * sums[0], zero, zero, zero))
 
 
 GROUP = (1, 3, 0)  # of a physical axis, the group of a gathered row: 1 slab, 2 middle, 3 row
@@ -690,8 +706,8 @@ def size_of(place):
 
 
 def g2p(
-    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, nodes_before, blend, layer_node, limits,
-    ends, scratch, first_nodes, constants, dt, dx, inv_dx, failure,
+    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, nodes_before, blend, nodes_divergence,
+    layer_node, limits, ends, scratch, first_nodes, constants, dt, dx, inv_dx, failure,
 ):  # fmt: skip
     """See loops.py for what the arguments are and what is returned."""
     before = flush_denormals()
@@ -701,6 +717,7 @@ def g2p(
         nodes.reshape(-1),
         nodes_before.reshape(-1),
     )
+    grid_divergence = nodes_divergence.reshape(-1)
     row, plane = nodes.shape[2] * 4, nodes.shape[1] * nodes.shape[2] * 4
     speeds = waves = in_all_lanes(real(0.0))
     drifts = in_all_lanes(integer(0))
@@ -730,7 +747,9 @@ def g2p(
                     first = layer * plane + first_nodes[lane]
                     gather(grid, first, plane, row, scratch, constants, lane)
                     if BLENDS:
-                        gather_before(grid_before, first, plane, row, scratch, constants, lane)
+                        gather_velocity(grid_before, first, plane, row, scratch, constants, lane, BEFORE)
+                    if F_BAR:
+                        gather_velocity(grid_divergence, first, plane, row, scratch, constants, lane, DIVERGENCES)
                 nothing = in_all_lanes(real(0.0))
                 for lane in range(count, 16):  # what fills up a block stays where it is, unchanged
                     if BY_INERTIA:
@@ -739,6 +758,8 @@ def g2p(
                         store(scratch, GRADIENTS + 16 * lane, nothing)
                     if BLENDS:
                         store(scratch, BEFORE + 16 * lane, nothing)
+                    if F_BAR:
+                        store(scratch, DIVERGENCES + 16 * lane, nothing)
                 live = lanes_below(count)
                 if BY_INERTIA:
                     columns = load_transposed(scratch, GATHERED)
@@ -752,6 +773,8 @@ def g2p(
                     C = la.scale(inv_dx, matrix_of(columns))
                     G = la.scale(dt * inv_dx, matrix_of(columns))
                 v = vector_of(columns)
+                if F_BAR:
+                    G = transfer.with_divergence(G, dt * load_transposed(scratch, DIVERGENCES)[0])
                 state = law.advance(load_state(values, o + 16 * STATE_FIELD), G, dt, params)
                 step = la.scale_vector(dt * inv_dx, v)
                 if BLENDS:
@@ -804,6 +827,34 @@ def g2p(
                 left -= 16
     restore_denormals(before)
     return largest_lane(speeds), largest_lane(waves), real(largest_lane(drifts)) * UNIT
+
+
+def measure_divergence(
+    reals, places, segments, layer_start, first_layer, last_layer, nodes, scratch, first_nodes, constants, inv_dx,
+):  # fmt: skip
+    """Let particles of some layers keep the divergence of the velocity."""
+    before = flush_denormals()
+    values, where_from, grid = reals.reshape(-1), places.reshape(-1), nodes.reshape(-1)
+    row, plane = nodes.shape[2] * 4, nodes.shape[1] * nodes.shape[2] * 4
+    for layer in range(first_layer, last_layer):
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            block, left = segments[s, 0], segments[s, 1]
+            while left > 0:
+                o = block * (16 * FIELDS)
+                count = min(left, 16)
+                place_block(
+                    where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], nodes.shape[1] * nodes.shape[2],
+                    nodes.shape[2],
+                )  # fmt: skip
+                for lane in range(count):
+                    gather(grid, layer * plane + first_nodes[lane], plane, row, scratch, constants, lane)
+                for lane in range(count, 16):
+                    store(scratch, GRADIENTS + 16 * lane, in_all_lanes(real(0.0)))
+                L = matrix_of(load_transposed(scratch, GRADIENTS))
+                store(values, o + 16 * DIVERGENCE_FIELD, la.trace(L) * inv_dx)
+                block += 1
+                left -= 16
+    restore_denormals(before)
 
 
 def moved(places, o, axis, step):

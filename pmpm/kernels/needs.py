@@ -125,6 +125,7 @@ class Needs:
     periodic: tuple[bool, ...]
     laws: tuple[LawNeeds, ...]
     wall_types: tuple[str, ...]
+    f_bar: bool = False  # volume changes are averaged over nodes
     body_force: Callable | None = None  # acceleration(x, X, t) of the scene
     uses_reference: bool = False  # whether it reads X
     loaded: bool = False  # whether particles carry an acceleration of their own
@@ -141,6 +142,7 @@ class Needs:
     def carried(self, law):
         """Names of what particles of a law carry besides position, velocity and state."""
         carries = {"C": self.scheme.affine or law.viscous, "X": self.uses_reference, "load": self.loaded}
+        carries["divergence"] = self.f_bar
         return tuple(name for name, needed in carries.items() if needed)
 
     @property

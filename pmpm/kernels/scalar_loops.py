@@ -38,10 +38,10 @@ NODES, MIDDLE_NODES, INERTIA = 3, 1, 4.0
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True  # see lane_loops
-VISCOUS = FORCED = LOADED = PERIODIC_MIDDLE = PERIODIC_ROW = False
+DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = PERIODIC_MIDDLE = PERIODIC_ROW = False
 V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 2, 4, 8, 8, 8
-BY_GRADIENT = True
-body_force = loops.no_force
+BY_GRADIENT, DIVERGENCE_FIELD = True, 8
+body_force, along_first = loops.no_force, None
 
 
 # ---- flat tuples, field by field ----------------------------------------------------------------------------------------
@@ -191,6 +191,8 @@ def p2g(
                         v = la.add_scaled_vector(v, dt, body_force(x, X, time))
                     if LOADED:
                         v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, block, LOAD_FIELD, lane))
+                if DIVERGENCE:
+                    mass, v = volume0, along_first(reals[block, DIVERGENCE_FIELD, lane])
                 momentum = la.scale_vector(mass, v)
                 if AFFINE:
                     M = transfer.affine_momentum(mass, load_matrix(reals, block, C_FIELD, lane), dx)
@@ -232,8 +234,8 @@ def moved(place, step):
 
 
 def g2p(
-    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, nodes_before, blend, layer_node, limits,
-    ends, scratch, first_nodes, constants, dt, dx, inv_dx, failure,
+    reals, places, segments, layer_start, first_layer, last_layer, table, nodes, nodes_before, blend, nodes_divergence,
+    layer_node, limits, ends, scratch, first_nodes, constants, dt, dx, inv_dx, failure,
 ):  # fmt: skip
     before = flush_denormals()
     speed_squared, wave_squared, drift = real(0.0), real(0.0), integer(0)
@@ -252,7 +254,7 @@ def g2p(
                 k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
                 v = la.scale_vector(0.0, g)
                 L = B = la.outer(v, v)
-                v_before = v
+                v_before, divergence = v, real(0.0)
                 for a in range(NODES):
                     for b in range(MIDDLE_NODES):
                         for c in range(NODES):
@@ -262,11 +264,15 @@ def g2p(
                             B = transfer.gather_affine(B, weight, v_node, d)
                             if not MLS:
                                 L = transfer.gather_gradient(L, v_node, slope)
+                            if F_BAR:
+                                divergence += weight * nodes_divergence[i0 + a, j0 + b, k0 + c, 0]
                             if BLENDS:
                                 old = momentum_at(nodes_before, i0 + a, j0 + b, k0 + c)
                                 v_before = transfer.gather_velocity(v_before, weight, old)
                 C = la.scale(INERTIA * inv_dx, B) if BY_INERTIA else la.scale(inv_dx, L)
                 G = la.scale(dt, C) if MLS else la.scale(dt * inv_dx, L)
+                if F_BAR:
+                    G = transfer.with_divergence(G, dt * divergence)
                 state = law.advance(load_state(reals, block, STATE_FIELD, lane), G, dt, params)
 
                 step = la.scale_vector(dt * inv_dx, v)
@@ -310,3 +316,27 @@ def g2p(
                 drift = max(drift, far)
     restore_denormals(before)
     return speed_squared, wave_squared, real(drift) * UNIT
+
+
+def measure_divergence(
+    reals, places, segments, layer_start, first_layer, last_layer, nodes, scratch, first_nodes, constants, inv_dx,
+):  # fmt: skip
+    before = flush_denormals()
+    for layer in range(first_layer, last_layer):
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            for n in range(segments[s, 1]):
+                block, lane = segments[s, 0] + (n >> 4), n & 15
+                place = load_vector(places, block, 0, lane)
+                g = along_axes(offset_of, place)
+                w, dw = along_axes(weights, g), along_axes(slopes, g)
+                i0 = layer + centre_of(place[SLAB]) + PADDING
+                j0 = segments[s, 3] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
+                k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
+                divergence = real(0.0)
+                for a in range(NODES):
+                    for b in range(MIDDLE_NODES):
+                        for c in range(NODES):
+                            weight, d, slope = stencil_node(w, dw, g, a, b, c)
+                            divergence += la.dot(momentum_at(nodes, i0 + a, j0 + b, k0 + c), slope)
+                reals[block, DIVERGENCE_FIELD, lane] = divergence * inv_dx
+    restore_denormals(before)

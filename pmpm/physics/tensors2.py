@@ -64,6 +64,11 @@ def identity_plus(G):
     return (1.0 + G[0], G[1], G[2], 1.0 + G[3])
 
 
+def add_diagonal(A, d):
+    """A + d I."""
+    return (A[0] + d, A[1], A[2], A[3] + d)
+
+
 def matmul(A, B):
     return (
         A[0] * B[0] + A[1] * B[2],

@@ -92,6 +92,11 @@ def identity_plus(G):
     return (1.0 + G[0], G[1], G[2], G[3], 1.0 + G[4], G[5], G[6], G[7], 1.0 + G[8])
 
 
+def add_diagonal(A, d):
+    """A + d I."""
+    return (A[0] + d, A[1], A[2], A[3], A[4] + d, A[5], A[6], A[7], A[8] + d)
+
+
 def matmul(A, B):
     return (
         A[0] * B[0] + A[1] * B[3] + A[2] * B[6],

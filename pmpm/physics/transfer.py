@@ -6,6 +6,10 @@ nodes; there C = grad v, which is the same where D can be inverted (Jiang et al.
 -V0 tau grad N, or MLS-MPM's -V0 tau D^-1 (x_i - x_p) w (Hu et al. 2018), which needs no gradients and lets force and affine
 momentum share one matrix. PIC (Harlow 1964) takes the grid's velocity, FLIP (Brackbill and Ruppel 1986) only what the step has
 changed of it; AFLIP is APIC with FLIP's velocities. Distances `d` are x_i - x_p in cells, slopes `dw` in 1 / cells.
+
+F-bar takes the volume change of a step from the average theta_i = sum w V0 div v / sum w V0 on nodes, gathered like a velocity:
+one constraint per node in place of one per particle, so that nearly incompressible solids do not lock (after de Souza Neto,
+Peric, Dutko, Owen 1996, who average over an element).
 """
 
 from pmpm.physics import tensors2 as la
@@ -45,6 +49,11 @@ def gather_affine(B, w, v_node, d):
 def gather_gradient(L, v_node, dw):
     """L + v_i grad N^T: the velocity gradient in m/s per cell, node after node."""
     return la.add_outer(L, v_node, dw)
+
+
+def with_divergence(G, divergence):
+    """G with another trace: the volume change that is averaged over the neighbourhood."""
+    return la.add_diagonal(G, (divergence - la.trace(G)) / la.DIM)
 
 
 def blend_velocity(v_grid, v_particle, v_grid_before, blend):

@@ -33,6 +33,7 @@ def scene_needs(scene):
         periodic,
         laws,
         walls,
+        f_bar=method.f_bar,
         body_force=force,
         uses_reference=force is not None and forcing.reads(force, "X"),
         loaded=bool(scene.loads),

@@ -18,7 +18,7 @@ from pmpm.scene.materials import AnyMaterial, Material
 from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_error, value_text
 from pmpm.scene.part import Part
 from pmpm.scene.shapes import AXES, Shape, wrong_length
-from pmpm.scene.values import check_word, choice, names, number, tables, text, vector, whole
+from pmpm.scene.values import check_word, choice, flag, names, number, tables, text, vector, whole
 from pmpm.state.fields import Field as StoredField
 
 WALLS = ("stick", "slip", "separate", "friction", "free")
@@ -178,6 +178,11 @@ class Method(Part):
 
     damping: Annotated[float, number("1/s", at_least=0.0)] = Field(
         default=0.0, description="rate at which all motion dies away, to come to rest in quasi-static scenes (1/s)"
+    )
+
+    f_bar: Annotated[bool, flag()] = Field(
+        default=False,
+        description="average volume changes over nodes, so that solids near nu = 0.5 do not lock",
     )
 
     @model_validator(mode="after")
@@ -348,9 +353,9 @@ class Scene(Part):
         """Check what depends on more than one table and fill in what depends on dimension and duration."""
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_body(body, index)]
         problems += self.wrong_fields()
-        for key, parts in (("loads", self.loads), ("motions", self.motions)):
-            for index, part in enumerate(parts):
-                problems += [Problem((key, index, *p.path), p.text, p.value) for p in part.misfits(self.dim)]
+        forced = [(("loads", n), load.misfits(self.dim)) for n, load in enumerate(self.loads)]
+        forced += [(("motions", n), motion.misfits(self.dim)) for n, motion in enumerate(self.motions)]
+        problems += [Problem((*path, *p.path), p.text, p.value) for path, misfits in forced for p in misfits]
         if self.body_force is not None:
             problems += forcing.wrong_body_force(self.body_force, self.dim, self.domain.size)
         for name, material in self.materials.items():

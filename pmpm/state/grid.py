@@ -49,16 +49,19 @@ class Patch:
 
     nodes (planes, middle, row, 4): momentum or velocity (3), mass. boxes (planes, 4) and layer_boxes (layers, 4): where along
     middle and row a plane, and what a layer has given, is not zero. One law needs one window; several need some, so that each
-    does a few layers at a time. `before`: velocities before the step, for schemes that blend; otherwise the nodes themselves.
+    does a few layers at a time. `before`: velocities before the step, for schemes that blend; `divergences`, and
+    `velocities` to keep meanwhile, for F-bar; otherwise the nodes themselves.
     """
 
-    def __init__(self, geometry, first_layer, last_layer, laws, real, blends=False):
+    def __init__(self, geometry, first_layer, last_layer, laws, real, blends=False, f_bar=False):
         stencil, shape = geometry.stencil, geometry.plane_shape
         layers = last_layer - first_layer
         self.first_plane = first_layer - stencil.reach_low
         self.planes = layers + stencil.reach_low + stencil.reach_high if layers else 0
         self.nodes = np.zeros((self.planes, *shape, 4), real)
         self.before = np.zeros_like(self.nodes) if blends else self.nodes
+        self.divergences = np.zeros_like(self.nodes) if f_bar else self.nodes
+        self.velocities = np.zeros_like(self.nodes) if f_bar else self.nodes
         self.boxes = np.tile(np.array(EMPTY_BOX), (self.planes, 1))
         self.layer_boxes = np.tile(np.array(EMPTY_BOX), (layers, 1))
         window_bytes = stencil.window * shape[0] * shape[1] * 4 * np.dtype(real).itemsize

@@ -22,7 +22,7 @@ def test_importing_pmpm_loads_nothing_heavy(tmp_path):
     assert modules_after("import pmpm", tmp_path).isdisjoint(HEAVY)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["point", "--help"]])
 def test_help_loads_nothing_heavy(tmp_path, arguments):
     code = f"from pmpm.cli import main\ntry: main({arguments!r})\nexcept SystemExit: pass"
     assert modules_after(code, tmp_path).isdisjoint(set(HEAVY) - {"numpy"})
@@ -37,3 +37,8 @@ def test_one_rank_of_dam_break_loads_neither_mpi_nor_cuda_nor_meshes(tmp_path):
 
 def test_listing_scenes_needs_no_kernels(tmp_path):
     assert "numba" not in modules_after("from pmpm.cli import main\nmain(['scenes'])", tmp_path)
+
+
+def test_a_driven_point_needs_no_kernels_no_mpi_and_no_pictures(tmp_path):
+    code = "from pmpm.cli import main\nassert main(['point', 'drucker_prager', '--steps', '5']) == 0"
+    assert modules_after(code, tmp_path).isdisjoint({"numba", "mpi4py", "matplotlib"})
