@@ -4,13 +4,14 @@ from importlib import import_module
 
 __version__ = "0.1.0"
 PUBLIC = {
+    "Law": "pmpm.physics.materials.own_law",
     "Scene": "pmpm.scene.schema",
     "SceneError": "pmpm.scene.errors",
     "Simulation": "pmpm.simulation",
     "NumericalFailure": "pmpm.failure",
     "load": "pmpm.output.reader",
 }
-__all__ = ["NumericalFailure", "Scene", "SceneError", "Simulation", "load"]
+__all__ = ["Law", "NumericalFailure", "Scene", "SceneError", "Simulation", "load"]
 
 
 def __getattr__(name):

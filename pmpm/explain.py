@@ -6,7 +6,7 @@ import numpy as np
 
 from pmpm.physics import stability
 from pmpm.physics.materials import LAWS, python_law
-from pmpm.scene import seeding
+from pmpm.scene import seeding, start
 from pmpm.scene.errors import SceneError
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
@@ -83,7 +83,7 @@ def estimated_step(scene, needs, tables):
             rest = target.compile(law.module.state_at)(identity, params)
             wave = max(wave, target.compile(stability.signal_speed_squared)(rest, params, row[2], 1.0 / dx))
     wave = math.sqrt(wave)
-    speed = max(math.hypot(*body.velocity) for body in scene.bodies)
+    speed = max(start.largest_speed(body, scene.dim) for body in scene.bodies)
     return min(scene.time.cfl * dx / (wave * math.sqrt(scene.dim)), MOVE * dx / speed if speed > 0 else math.inf)
 
 

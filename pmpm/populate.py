@@ -1,11 +1,16 @@
 """Fill a simulation with the particles of its scene: how many each layer gets, and their state at the start."""
 
+from functools import partial
+
 import numpy as np
 
 from pmpm.kernels import targets
 from pmpm.kernels.needs import law_needs
-from pmpm.scene import seeding
+from pmpm.scene import geostatic, seeding, start
 from pmpm.scene.errors import SceneError
+from pmpm.scene.functions import Unfit
+from pmpm.scene.messages import value_text
+from pmpm.scene.schema import ROUNDING
 from pmpm.state.derived import DENSITY, PARAMETERS
 from pmpm.state.particles import Cloud
 
@@ -44,26 +49,111 @@ def load_accelerations(simulation, seeds):
 
 
 def cloud(simulation, law, seeds, loads):
-    """The particles of one law, at rest state or in hydrostatic equilibrium, as rows."""
-    layout, parts = simulation.layouts[law], []
+    """The particles of one law at the start, as rows; displaced ones lie in layers of any rank. Collective.
+
+    Raises SceneError, on all ranks, where a function of the scene fails or a particle starts outside the domain.
+    """
+    layout, parts, complaints = simulation.layouts[law], [], []
     for number, (body, body_seeds) in enumerate(zip(simulation.scene.bodies, seeds, strict=True)):
         material = simulation.scene.materials[body.material]
         if law_needs(material.model, material.parameters) != simulation.needs.laws[law]:
             continue
+        order = by_layer(simulation, body_seeds)
+        body_seeds = body_seeds.take(order)
         count = len(body_seeds.id)
         reals = np.zeros((count, layout.size), simulation.real)
-        reals[:, layout.where("v")] = body.velocity
-        reals[:, layout.state_first :] = state_at_rest(simulation, law, number)
-        if body.pressure == "hydrostatic":
-            reals[:, layout.state_first :] = hydrostatic_state(simulation, law, number, body_seeds)
         seeded = Cloud(reals, body_seeds.node, np.full(count, number, np.int32), body_seeds.id)
-        seeded.places[:, : simulation.dim] = simulation.needs.places.from_cells(body_seeds.offset)
+        if count:
+            try:
+                key = "velocity"
+                reals[:, layout.where("v")] = vectors(simulation, body_seeds, body.velocity)
+                key = "stress" if body.stress is not None else "deformation"
+                reals[:, layout.state_first :] = first_states(simulation, law, number, body_seeds)
+                key, offset = "displacement", body_seeds.offset
+                if body.displacement is not None:
+                    seeded.node, offset = displaced(simulation, body, body_seeds)
+                seeded.places[:, : simulation.dim] = simulation.needs.places.from_cells(offset)
+            except Unfit as complaint:
+                complaints.append(f"scene: bodies[{number}].{key}{shown(getattr(body, key))} {complaint}")
         if layout.where("load"):
-            reals[:, layout.where("load")] = loads[number]
+            reals[:, layout.where("load")] = loads[number][order]
         if layout.where("X"):
-            reals[:, layout.where("X")] = (body_seeds.node + body_seeds.offset) * simulation.geometry.cell_size
+            reals[:, layout.where("X")] = reference_positions(simulation, body_seeds)
         parts.append(seeded)
+        # Lower ranks own lower layers, so that the first complaint is the same for any number of ranks.
+        told = [complaint for rank in simulation.comm.gather(complaints) for complaint in rank]
+        if told:
+            raise SceneError(told[0])
     return Cloud.join([Cloud.empty(layout.size, simulation.dim, simulation.real), *parts])
+
+
+def shown(value):
+    return f" = {value_text(value)}" if callable(value) else ""
+
+
+def by_layer(simulation, seeds):
+    """Permutation of the seeds of one body, layer after layer: an order in which no rank count shows."""
+    return np.argsort(seeds.node[:, simulation.geometry.axes[0]], kind="stable")
+
+
+def reference_positions(simulation, seeds):
+    """(n, dim) float64 X in m, within the domain also where it repeats."""
+    geometry = simulation.geometry
+    X = (seeds.node + seeds.offset) * geometry.cell_size
+    for axis in range(geometry.dim):
+        if geometry.periodic[axis]:
+            X[:, axis] += np.where(X[:, axis] < 0.0, geometry.cells[axis] * geometry.cell_size, 0.0)
+    return X
+
+
+def in_layers(simulation, seeds, compute):
+    """(n, ...) what `compute` makes of the reference positions X (n, dim) of at least one seed, called layer by layer."""
+    layer = seeds.node[:, simulation.geometry.axes[0]]
+    pieces = np.split(reference_positions(simulation, seeds), np.flatnonzero(np.diff(layer)) + 1)
+    return np.concatenate([compute(X) for X in pieces])
+
+
+def vectors(simulation, seeds, field):
+    """(n, dim) a constant or a function of position."""
+    return in_layers(simulation, seeds, partial(start.evaluate, field, shape=(simulation.dim,)))
+
+
+def displaced(simulation, body, seeds):
+    """(node (n, dim), offset (n, dim) in cells) of particles at X + u. Raises Unfit outside the domain."""
+    geometry = simulation.geometry
+    cells = seeds.node + seeds.offset + vectors(simulation, seeds, body.displacement) / geometry.cell_size
+    outside = np.zeros(len(cells), bool)
+    for axis in range(geometry.dim):
+        if not geometry.periodic[axis]:
+            beyond = ROUNDING * geometry.cells[axis]
+            outside |= (cells[:, axis] < -beyond) | (cells[:, axis] > geometry.cells[axis] + beyond)
+    if outside.any():
+        first = np.flatnonzero(outside)[0]
+        X, x = reference_positions(simulation, seeds)[first], cells[first] * geometry.cell_size
+        there = ", ".join(f"{coordinate:.6g}" for coordinate in x)
+        raise Unfit(f"takes particle {seeds.id[first]} from {start.place(X)} out of the domain, to ({there}) m")
+    node = np.floor(cells + geometry.stencil.round)
+    offset = cells - node
+    for axis in range(geometry.dim):
+        if geometry.periodic[axis]:
+            node[:, axis] %= geometry.cells[axis]
+    return node.astype(np.int32), offset
+
+
+def first_states(simulation, law, number, seeds):
+    """(n, state) or (state,) of the particles of a body."""
+    body = simulation.scene.bodies[number]
+    if body.deformation is None and body.stress is None and body.pressure == "zero":
+        return state_at_rest(simulation, law, number)
+    if body.pressure == "hydrostatic":
+        return hydrostatic_state(simulation, law, number, seeds)
+    whole = start.ArrayLaw(simulation.scene.materials[body.material], simulation.dim)
+    if body.deformation is not None:
+        return in_layers(simulation, seeds, partial(start.deformed_states, whole, body.deformation))
+    axis, up = geostatic.vertical(simulation.gravity)
+    depth = (body.stress.depth_from - reference_positions(simulation, seeds)[:, axis]) * up
+    density = simulation.tables[law][number][DENSITY]
+    return geostatic.states(whole, body.stress, density, simulation.gravity, depth)
 
 
 def state_at_rest(simulation, law, number):

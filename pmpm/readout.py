@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from pmpm.physics.materials import law_of
-from pmpm.state.fields import KIND_SIZE
+from pmpm.state.fields import Field
 
 
 def order(simulation):
@@ -35,8 +35,9 @@ def stored_field(simulation, derived, name):
     """Rows of a stored field, nan where this law, or any law of the bodies, keeps no such field."""
     values = derived.field(name)
     if values is None:
-        laws = [law_of(material.model) for material in simulation.scene.materials.values()]
-        size = max(KIND_SIZE[f.kind](simulation.dim) for law in laws for f in law.STATE if f.name == name)
+        laws = [(law_of(material.model), material.parameters) for material in simulation.scene.materials.values()]
+        known = [f for law, keys in laws for f in (*law.STATE, *law.state_fields(keys)) if f.name == name]
+        size = max(Field.of(f).size(simulation.dim) for f in known)
         values = np.full((len(derived.population), size), np.nan, simulation.real)
     return values[:, 0] if values.shape[1] == 1 else values
 

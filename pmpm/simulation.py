@@ -77,7 +77,8 @@ class Simulation:
         seeds = seeding.seed(self.scene, self.geometry, self.first_layer, self.last_layer)
         loads = populate.load_accelerations(self, seeds)
         seeded = [Loose.of_rows(populate.cloud(self, law, seeds, loads)) for law in range(len(self.needs.laws))]
-        self.settle_in(seeded, [None] * len(seeded))
+        arrived, _ = migrate(seeded, self.geometry.axes[0], self.slabs, self.comm)  # of displaced bodies
+        self.settle_in(seeded, arrived)
         self.control = StepControl(
             self.comm, scene.time, scene.domain.cell_size, self.dim, FARTHEST / 64, SETTLED / 64, TRAVEL
         )

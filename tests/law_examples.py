@@ -4,6 +4,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+import own_laws
 
 from pmpm.kernels import targets
 from pmpm.kernels.needs import law_needs
@@ -101,6 +102,7 @@ EXAMPLES = {
         "hardening": 5.0,
         "largest_hardening": 2.0,
     },
+    "breaking": own_laws.MATERIAL,
 }
 STIFFNESS = 2000.0
 # Eps by which lanes may miss plain Python in one step: twice what was found, at least 20. Of the fluid, J^-8 takes the
@@ -120,13 +122,17 @@ class Example:
     @property
     def keys(self):
         """All keys of the material, defaults filled in."""
+        return self.material.parameters
+
+    @property
+    def material(self):
         from pmpm.scene.materials import material
 
-        return material(EXAMPLES[self.label]).complete(self.dim).parameters
+        return material(EXAMPLES[self.label]).complete(self.dim)
 
     @property
     def needs(self):
-        return law_needs(EXAMPLES[self.label]["model"], self.keys)
+        return law_needs(self.material.model, self.keys)
 
     @property
     def module(self):

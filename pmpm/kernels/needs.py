@@ -8,6 +8,7 @@ import numpy as np
 from pmpm.kernels.places import FORMATS, PADDING
 from pmpm.physics import bspline, tensors2, tensors3
 from pmpm.physics.materials import law_of
+from pmpm.physics.materials.keys import StateField
 
 
 @dataclass(frozen=True)
@@ -96,20 +97,20 @@ class LawNeeds:
 
     model: str
     choices: tuple[tuple[str, object], ...]
-    state: tuple[str, ...]  # names of the StateFields a particle carries
+    fields: tuple[StateField, ...]  # what a particle carries
 
     @property
     def module(self):
         return law_of(self.model)
 
     @property
+    def state(self):
+        """Names of the fields."""
+        return tuple(field.name for field in self.fields)
+
     def viscous(self):
         """Whether stress follows from the velocity gradient, too."""
         return bool(dict(self.choices).get("VISCOUS"))
-
-    @property
-    def fields(self):
-        return tuple(field for field in self.module.STATE if field.name in self.state)
 
 
 @dataclass(frozen=True)
@@ -168,4 +169,4 @@ def law_needs(model, keys):
     """The LawNeeds of a material with these keys."""
     module = law_of(model)
     choices = tuple(sorted(module.choices(keys).items()))
-    return LawNeeds(model, choices, tuple(field.name for field in module.state_fields(keys)))
+    return LawNeeds(model, choices, tuple(module.state_fields(keys)))

@@ -298,6 +298,16 @@ def into_range(t, low, high):
     return (min(max(t[0], low), high) - t[0], min(max(t[1], low), high) - t[1])
 
 
+def tensor_part(state):
+    """The tensor that a particle's state begins with."""
+    return state[:4]
+
+
+def after_tensor(state):
+    """The numbers that follow a tensor in a particle's state."""
+    return state[4:]
+
+
 def symmetric_part(state):
     """The symmetric tensor that a particle's state begins with."""
     return (state[0], state[1], state[2])

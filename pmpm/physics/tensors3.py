@@ -510,6 +510,16 @@ def into_range(t, low, high):
     )
 
 
+def tensor_part(state):
+    """The tensor that a particle's state begins with."""
+    return state[:9]
+
+
+def after_tensor(state):
+    """The numbers that follow a tensor in a particle's state."""
+    return state[9:]
+
+
 def symmetric_part(state):
     """The symmetric tensor that a particle's state begins with."""
     return (state[0], state[1], state[2], state[3], state[4], state[5])

@@ -3,19 +3,19 @@
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, reduce
 from operator import or_
-from types import FunctionType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, create_model, model_validator
 
-from pmpm.physics.materials import LAWS, law_of, python_law
+from pmpm.physics.materials import LAWS, law_of, own_law, python_law
 from pmpm.physics.materials.keys import Key
+from pmpm.physics.materials.own_law import Law
 from pmpm.scene import functions
 from pmpm.scene.messages import TAG, Problem, Problems, known_text, problems_in
 from pmpm.scene.part import Part
 from pmpm.scene.values import check_word, choice, flag, number
 
-RESERVED = ("function", "sound_speed")  # names that a function cannot give to its parameters
+RESERVED = ("law", "sound_speed")  # names that a function cannot give to its parameters
 
 
 class Material(Part):
@@ -54,47 +54,62 @@ class Material(Part):
 
 
 class PythonMaterial(Material):
-    """A law that is a Python function; its parameters are fields of a subclass made for the function."""
+    """A law given from Python; the parameters of its functions are fields of a subclass made for the law."""
 
-    function: ClassVar[Any]
+    law: ClassVar[Law]
     density: float
     sound_speed: float | None
 
     @property
     def parameters(self) -> dict[str, Any]:
-        return super().parameters | {"function": type(self).function}
+        return super().parameters | {"law": type(self).law}
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """What the function takes after F."""
-        return tuple(getattr(self, name) for name in python_law.parameter_names(type(self).function))
+        """What the functions take besides F and the state."""
+        return tuple(getattr(self, name) for name in type(self).law.parameters)
 
     def __reduce__(self):
-        return material, (self.model_dump() | {"model": type(self).function},)
+        return material, (self.model_dump() | {"model": type(self).law},)
 
     def wrong_law(self, dim: int) -> Iterator[Problem]:
-        function = type(self).function
-        try:
-            functions.check_stress(function, dim, self.numbers)
-            least = functions.speed_at_rest(function, dim, self.numbers, self.density)
-        except functions.Unfit as complaint:
-            yield functions.unfit_problem(function, complaint)
+        law = type(self).law
+        size = dim * dim + law.own_size
+        if size > functions.MOST_NUMBERS:
+            text = f"keeps {size} numbers in {dim}-D, {dim * dim} of F and {law.own_size} of its state; kernels know up to "
+            yield functions.unfit_problem(law.stress, f"{text}{functions.MOST_NUMBERS}")
             return
-        if least is None and self.sound_speed is None:
-            text = f"is missing: {function.__name__} has no stiffness at rest from which to find it (m/s)"
+        try:
+            functions.check_calls(law, dim, self.numbers)
+            least = functions.speed_at_rest(law, dim, self.numbers, self.density)
+        except functions.Unfit as complaint:
+            yield functions.unfit_problem(law.stress, complaint)
+            return
+        told = functions.told_speed_at_rest(law, dim, self.numbers)
+        low = (1.0 - functions.WITHIN) * (least or 0.0)
+        if told is not None and self.sound_speed is not None:
+            yield Problem(
+                ("sound_speed",), f"does not go with the wave_speed function of {law.title}", self.sound_speed
+            )
+        elif told is not None and told < low:
+            text = f"has a wave_speed function that gives {told:.6g} m/s at rest, where waves run at {least:.6g} m/s"
+            yield functions.unfit_problem(law.stress, text)
+        elif told is None and least is None and self.sound_speed is None:
+            text = f"is missing: {law.title} has no stiffness at rest from which to find it (m/s)"
             yield Problem(("sound_speed",), text)
-        elif least is not None and self.sound_speed is not None and self.sound_speed < least * (1.0 - functions.WITHIN):
+        elif self.sound_speed is not None and self.sound_speed < low:
             text = f"m/s must be at least {least:.6g} m/s, the speed of waves at rest"
             yield Problem(("sound_speed",), text, self.sound_speed)
 
     def complete(self, dim: int) -> "Material":
-        if self.sound_speed is not None:
+        law = type(self).law
+        if self.sound_speed is not None or law.wave_speed is not None:
             return self
-        found = functions.speed_at_rest(type(self).function, dim, self.numbers, self.density)
+        found = functions.speed_at_rest(law, dim, self.numbers, self.density)
         return self.model_copy(update={"sound_speed": found})
 
     def table(self, dim: int) -> dict[str, Any]:
-        return super().table(dim) | {"model": f"{self.model}:{functions.digest(type(self).function, dim)}"}
+        return super().table(dim) | {"model": f"{self.model}:{functions.digest(type(self).law, dim)}"}
 
 
 def field_of(key: Key) -> tuple[Any, Any]:
@@ -125,33 +140,37 @@ MODELS: dict[str, Any] = {name: model_of(name, law.KEYS) for name, law in LAWS.i
 
 
 @cache
-def model_of_function(function: FunctionType) -> Any:
-    """Make the class of the materials of a function. Raises Problems if it gives a parameter a name that is taken."""
-    names, defaults = python_law.parameter_names(function), function.__defaults__ or ()
-    own = [name for name in names if name != "density"]
+def model_of_law(law: Law) -> Any:
+    """Make the class of the materials of a law. Raises Problems if it gives a parameter a name that is taken."""
+    own = {name: default for name, default in law.parameters.items() if name != "density"}
     for name in own:
         if name in RESERVED or name.startswith(("_", "model")) or hasattr(PythonMaterial, name):
-            raise Problems(Problem(("model",), f"must not call a parameter {name}: the name is taken", function))
-    default_of = dict(zip(names[len(names) - len(defaults) :], defaults, strict=True))
-    keys = [Key(name, "-", f"parameter of {function.__name__}", default_of.get(name)) for name in own]
-    model = model_of(python_law.PREFIX + function.__name__, [*python_law.KEYS, *keys], PythonMaterial)
-    model.function = function
+            raise Problems(Problem(("model",), f"must not call a parameter {name}: the name is taken", law.stress))
+    keys = [Key(name, "-", f"parameter of {law.title}", default) for name, default in own.items()]
+    model = model_of(python_law.PREFIX + law.title, [*python_law.KEYS, *keys], PythonMaterial)
+    model.law = law
     return model
 
 
 def python_material(keys: Mapping[str, Any]) -> PythonMaterial:
-    """Make a material whose `model` is a function. Raises Problems."""
-    functions.check_function(keys["model"])
-    model = model_of_function(keys["model"])
+    """Make a material whose `model` is a function or a Law. Raises Problems."""
+    law = own_law.of_model(keys["model"])
+    functions.check_law(law)
+    model = model_of_law(law)
     try:
         return model.model_validate({**keys, "model": model.model_fields["model"].default})
     except ValidationError as error:
         raise Problems(*problems_in(error.errors(include_url=False))) from None
 
 
+def of_python(model: Any) -> bool:
+    """Say whether a model is given from Python."""
+    return callable(model) or isinstance(model, Law)
+
+
 def material(keys: dict[str, Any]) -> Material:
     """Make a material from its keys, `model` among them."""
-    return python_material(keys) if callable(keys["model"]) else MODELS[keys["model"]](**keys)
+    return python_material(keys) if of_python(keys["model"]) else MODELS[keys["model"]](**keys)
 
 
 def check_material(value: Any) -> Any:
@@ -162,7 +181,7 @@ def check_material(value: Any) -> Any:
         raise Problems(Problem((), f"must be a table with a model; {known_text('', MODELS, 'known')}", value))
     if "model" not in value:
         raise Problems(Problem(("model",), f"is missing; {known_text('', MODELS, 'known')}"))
-    if callable(value["model"]):
+    if of_python(value["model"]):
         return python_material(value)
     if isinstance(value["model"], str) and value["model"].startswith(python_law.PREFIX):
         name = value["model"].split(":")[1]

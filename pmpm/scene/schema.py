@@ -11,17 +11,21 @@ from pydantic import BeforeValidator, Field, ValidationError, field_serializer, 
 
 from pmpm.kernels.needs import STENCILS, TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
-from pmpm.scene import files, forcing
+from pmpm.scene import files, forcing, geostatic, start
+from pmpm.scene.functions import Unfit
+from pmpm.scene.geostatic import Geostatic
 from pmpm.scene.materials import AnyMaterial, Material
-from pmpm.scene.messages import Problem, Problems, known_text, scene_error, value_text
+from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_error, value_text
 from pmpm.scene.part import Part
 from pmpm.scene.shapes import AXES, Shape, wrong_length
 from pmpm.scene.values import check_word, choice, flag, names, number, tables, text, vector, whole
+from pmpm.state.fields import Field as StoredField
 
 WALLS = ("stick", "slip", "separate", "friction", "free")
 PLANNED_WALLS = ("open",)
 FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "density", "material", "speed")
 CFL = 0.4
+DEPTHS = 16  # at which a stress is tried
 FLIP_BLEND = 0.99
 SNAPSHOTS, DIAGNOSTICS = 50, 200
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
@@ -229,10 +233,21 @@ class Body(Part):
         default=LATER,
         description="number of particles in a full cell, 4 in 2-D and 8 in 3-D if not given",
     )
-    velocity: Annotated[tuple[float, ...], vector("m/s")] = Field(
-        default=LATER, description="at the start, zero if not given (m/s)"
+    velocity: Annotated[Any, start.vector_field("m/s")] = Field(
+        default=LATER, description="at the start, zero if not given; from Python also a function of position (m/s)"
+    )
+    displacement: Annotated[Any, start.vector_field("m")] = Field(
+        default=None, description="from the shape to where particles start; from Python also a function of position (m)"
+    )
+    deformation: Annotated[Any, start.matrix_field()] = Field(
+        default=None, description="elastic deformation gradient at the start; from Python also a function of position"
     )
     pressure: Annotated[str, choice(("zero", "hydrostatic"))] = Field(default="zero", description="at the start")
+    stress: Geostatic | None = Field(default=None, description='at the start, such as { type = "geostatic" }')
+
+    @field_serializer("velocity", "displacement", "deformation")
+    def field_or_record(self, value: Any) -> Any:
+        return start.record(value)
 
 
 class Output(Part):
@@ -353,12 +368,30 @@ class Scene(Part):
         settle(self, materials={name: material.complete(self.dim) for name, material in self.materials.items()})
         settle(self, bodies=tuple(self.complete_body(body) for body in self.bodies))
         settle(self, output=self.complete_output())
+        problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_start(body, index)]
+        if problems:
+            raise Problems(*problems)
         return self
 
     def complete_body(self, body: Body) -> Body:
         count = 2**self.dim if body.particles_per_cell is None else body.particles_per_cell
         velocity = (0.0,) * self.dim if body.velocity is None else body.velocity
-        return body.model_copy(update={"particles_per_cell": count, "velocity": velocity})
+        return body.model_copy(
+            update={"particles_per_cell": count, "velocity": velocity, "stress": self.complete_stress(body)}
+        )
+
+    def complete_stress(self, body: Body) -> Geostatic | None:
+        if body.stress is None:
+            return None
+        surface = body.stress.depth_from
+        if surface is None:
+            surface = geostatic.free_surface(body.shape, self.domain.gravity)
+        return body.stress.model_copy(update={"k0": self.k0(body), "depth_from": surface})
+
+    def k0(self, body: Body) -> float | None:
+        material = self.materials[body.material]
+        given = body.stress.k0 if body.stress is not None else None
+        return geostatic.default_k0(law_of(material.model), material.parameters) if given is None else given
 
     def complete_output(self) -> Output:
         snapshots, diagnostics = self.output.snapshot_interval, self.output.diagnostics_interval
@@ -373,11 +406,10 @@ class Scene(Part):
         if body.material not in self.materials:
             near = known_text(body.material, self.materials, "materials")
             yield Problem((*here, "material"), f"is not a material of this scene; {near}", body.material)
-        elif body.pressure == "hydrostatic":
-            yield from self.wrong_pressure(body, (*here, "pressure"))
-        if body.velocity is not None:
-            for problem in wrong_length("velocity", body.velocity, self.dim):
-                yield Problem((*here, *problem.path), problem.text, problem.value)
+        else:
+            yield from self.wrong_pressure(body, here)
+        for problem in start.wrong_start(body, self.dim):
+            yield Problem((*here, *problem.path), problem.text, problem.value)
         misfits = body.shape.misfits(self.dim)
         for problem in misfits:
             yield Problem((*here, "shape", *problem.path), problem.text, problem.value)
@@ -392,19 +424,45 @@ class Scene(Part):
             reach = f"from {low[axis]:.10g} to {high[axis]:.10g} m along {AXES[axis]}"
             yield Problem(path, f"reaches out of the domain: {reach}, the domain from 0 to {size[axis]:.10g} m")
 
-    def wrong_pressure(self, body: Body, path: tuple[str | int, ...]) -> Iterator[Problem]:
-        model = self.materials[body.material].model
-        if not hasattr(law_of(model), "hydrostatic_state"):
+    def wrong_pressure(self, body: Body, here: tuple[str | int, ...]) -> Iterator[Problem]:
+        """Yield what keeps a weight from being the stress that a body starts with."""
+        material = self.materials[body.material]
+        model, law = material.model, law_of(material.model)
+        key, value = ("stress", ABSENT) if body.stress is not None else ("pressure", body.pressure)
+        if body.pressure == "hydrostatic" and not hasattr(law, "hydrostatic_state"):
             liquids = [name for name, law in LAWS.items() if hasattr(law, "hydrostatic_state")]
-            yield Problem(path, f"is for {', '.join(liquids)} only; {body.material} is {model}", body.pressure)
-        elif np.count_nonzero(self.domain.gravity) != 1:
+            yield Problem((*here, key), f"is for {', '.join(liquids)} only; {body.material} is {model}", body.pressure)
+        elif (body.pressure != "zero" or body.stress is not None) and np.count_nonzero(self.domain.gravity) != 1:
             gravity = value_text(self.domain.gravity)
-            yield Problem(path, f"needs gravity along exactly one axis; domain.gravity = {gravity} m/s2", body.pressure)
+            yield Problem((*here, key), f"needs gravity along exactly one axis; domain.gravity = {gravity} m/s2", value)
+        elif body.stress is not None and self.k0(body) is None:
+            text = f"is missing: {model} has neither a friction angle nor a Poisson ratio from which to find it"
+            yield Problem((*here, "stress", "k0"), text)
+
+    def wrong_start(self, body: Body, index: int) -> Iterator[Problem]:
+        """Yield what shows when the functions and the stress that a body starts with are tried on a few particles."""
+        law = start.ArrayLaw(self.materials[body.material], self.dim)
+        shapes = [other.shape for other in self.bodies[index:]]
+        for problem in start.wrong_functions(body, shapes, law):
+            yield Problem(("bodies", index, *problem.path), problem.text, problem.value)
+        if body.stress is not None:
+            gravity, surface = self.domain.gravity, body.stress.depth_from or 0.0
+            tried = geostatic.depths(body.shape, gravity, surface, DEPTHS)
+            density = self.materials[body.material].parameters["density"]
+            try:
+                geostatic.states(law, body.stress, density, gravity, tried)
+            except Unfit as complaint:
+                yield Problem(("bodies", index, "stress"), str(complaint))
 
     def wrong_fields(self) -> Iterator[Problem]:
-        laws = [(law_of(material.model), material.parameters) for material in self.materials.values()]
-        states = [field.name for law, parameters in laws for field in law.state_fields(parameters)]
-        known = list(dict.fromkeys((*FIELDS, *states)))
+        sizes: dict[str, int] = {}
+        for name, material in self.materials.items():
+            for field in law_of(material.model).state_fields(material.parameters):
+                size = StoredField.of(field).size(self.dim)
+                if sizes.setdefault(field.name, size) != size:
+                    text = f"keeps {size} numbers as {field.name}, another law of the scene {sizes[field.name]}: rename one"
+                    yield Problem(("materials", name, "model"), text)
+        known = list(dict.fromkeys((*FIELDS, *sizes)))
         for index, name in enumerate(self.output.fields):
             if name not in known:
                 near = known_text(name, known, "fields of this scene")

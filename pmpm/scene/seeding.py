@@ -13,6 +13,9 @@ class Seeds:
     offset: np.ndarray
     id: np.ndarray
 
+    def take(self, index):
+        return Seeds(self.node[index], self.offset[index], self.id[index])
+
 
 def lattice(particles_per_cell, dim):
     """(particles_per_cell, dim) places within a cell, in cells; None if the number is no perfect square or cube."""

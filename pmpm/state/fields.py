@@ -18,16 +18,21 @@ KIND_SIZE = {
 
 @dataclass(frozen=True)
 class Field:
-    """One quantity of a particle: `kind` scalar, vector, tensor, symmetric or solid; `rest` as in StateField."""
+    """One quantity of a particle: `kind` scalar, vector, tensor, symmetric, solid or numbers; `rest` as in StateField."""
 
     name: str
     kind: str
     unit: str
     meaning: str
-    rest: float = 0.0
+    rest: float | tuple[float, ...] = 0.0
+
+    @classmethod
+    def of(cls, state_field):
+        """The Field of a law's StateField."""
+        return cls(state_field.name, state_field.kind, state_field.unit, state_field.meaning, state_field.rest)
 
     def size(self, dim):
-        return KIND_SIZE[self.kind](dim)
+        return len(self.rest) if isinstance(self.rest, tuple) else KIND_SIZE[self.kind](dim)
 
     def rest_values(self, dim):
         """The undeformed value, flat."""
@@ -83,8 +88,9 @@ class Layout:
     @classmethod
     def of(cls, law, dim, carried=()):
         """`carried`: names of OPTIONAL fields."""
-        own = tuple(Field(f.name, f.kind, f.unit, f.meaning, f.rest) for f in law.fields)
-        return cls(COMMON + tuple(field for field in OPTIONAL if field.name in carried), own, dim)
+        return cls(
+            COMMON + tuple(field for field in OPTIONAL if field.name in carried), tuple(map(Field.of, law.fields)), dim
+        )
 
     @property
     def fields(self):

@@ -420,6 +420,93 @@ BROKEN = [
     ("pressure of sand", change("velocity = [0.0, 0.0]", 'pressure = "hydrostatic"'), ["bodies[0].pressure", "fluid"]),
     ("pressure without gravity", change(GRAVITY, ""), ['bodies[1].pressure = "hydrostatic"', "needs gravity"]),
     ("oblique gravity", change(GRAVITY, "gravity = [1.0, -9.81]"), ["bodies[1].pressure", "[1.0, -9.81] m/s2"]),
+    (
+        "function in a file",
+        change("velocity = [0.0, 0.0]", 'velocity = "python:swirl:0123456789ab"'),
+        ["bodies[0].velocity", "is a Python function, which a file does not hold: give swirl"],
+    ),
+    (
+        "displacement in 3-D",
+        change("velocity = [0.0, 0.0]", "displacement = [0, 0, 0]"),
+        ["bodies[0].displacement = [0.0, 0.0, 0.0]", "2 numbers"],
+    ),
+    (
+        "displacement of words",
+        change("velocity = [0.0, 0.0]", 'displacement = ["up", 0]'),
+        ['bodies[0].displacement[0] = "up"', "must be a number in m"],
+    ),
+    (
+        "deformation by a number",
+        change("velocity = [0.0, 0.0]", "deformation = 1.1"),
+        ["bodies[0].deformation = 1.1", "square matrix"],
+    ),
+    (
+        "ragged deformation",
+        change("velocity = [0.0, 0.0]", "deformation = [[1, 0], [0, 1, 0]]"),
+        ["bodies[0].deformation", "2 numbers in each of its 2 rows"],
+    ),
+    (
+        "deformation in 3-D",
+        change("velocity = [0.0, 0.0]", "deformation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]"),
+        ["bodies[0].deformation", "2 x 2 matrix"],
+    ),
+    (
+        "broken deformation",
+        change("velocity = [0.0, 0.0]", "deformation = [[1, nan], [0, 1]]"),
+        ["bodies[0].deformation[0][1] = nan", "finite number"],
+    ),
+    (
+        "inverted deformation",
+        change("velocity = [0.0, 0.0]", "deformation = [[1, 2], [1, 1]]"),
+        ["bodies[0].deformation", "no state of drucker_prager", "det F = -1;"],
+    ),
+    (
+        "two starts",
+        change("velocity = [0.0, 0.0]", 'deformation = [[1, 0], [0, 1]]\nstress = { type = "geostatic" }'),
+        ["bodies[0].deformation excludes stress"],
+    ),
+    (
+        "stress without a type",
+        change("velocity = [0.0, 0.0]", "stress = { k0 = 0.5 }"),
+        ["bodies[0].stress.type is missing"],
+    ),
+    (
+        "unknown stress",
+        change("velocity = [0.0, 0.0]", 'stress = { type = "static" }'),
+        ['bodies[0].stress.type = "static"', "geostatic?"],
+    ),
+    (
+        "negative k0",
+        change("velocity = [0.0, 0.0]", 'stress = { type = "geostatic", k0 = -0.5 }'),
+        ["bodies[0].stress.k0 = -0.5", ">= 0"],
+    ),
+    (
+        "suction as surcharge",
+        change("velocity = [0.0, 0.0]", 'stress = { type = "geostatic", surcharge = -5.0 }'),
+        ["bodies[0].stress.surcharge = -5.0", ">= 0 Pa"],
+    ),
+    (
+        "depth from words",
+        change("velocity = [0.0, 0.0]", 'stress = { type = "geostatic", depth_from = "top" }'),
+        ['bodies[0].stress.depth_from = "top"', "number in m"],
+    ),
+    (
+        "misspelt k0",
+        change("velocity = [0.0, 0.0]", 'stress = { type = "geostatic", K0 = 0.5 }'),
+        ["bodies[0].stress.K0", "did you mean k0?"],
+    ),
+    (
+        "stress beyond yield",
+        change("velocity = [0.0, 0.0]", 'stress = { type = "geostatic", k0 = 0.2 }'),
+        ["bodies[0].stress is outside the yield surface of drucker_prager", "depth of 0.00625 m"],
+    ),
+    (
+        "stress across gravity",
+        change(
+            GRAVITY, "gravity = [1.0, -9.81]", change('pressure = "hydrostatic"', 'stress = { type = "geostatic" }')
+        ),
+        ["bodies[1].stress needs gravity along exactly one axis"],
+    ),
     ("unknown pressure", change('"hydrostatic"', '"static"'), ['bodies[1].pressure = "static"', "hydrostatic?"]),
     ("interval zero", change(SNAPSHOT, "snapshot_interval = 0"), ["output.snapshot_interval = 0 ", "> 0 s"]),
     (

@@ -335,7 +335,7 @@ def test_a_parameter_called_density_is_the_density_of_the_material():
 
 def test_the_example_in_the_documentation_runs():
     text = (Path(__file__).parents[2] / "docs" / "scene.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```python\n(.*?)```", text[text.index("## A law of your own") :], re.DOTALL)
+    example, *_ = re.findall(r"```python\n(.*?)```", text[text.index("## A law of your own") :], re.DOTALL)
     space = {"__name__": "example"}
     exec(example, space)
     simulation = space["simulation"]

@@ -155,8 +155,8 @@ def test_a_body_keeps_its_gaps_when_a_scene_fills_in_its_own():
 
 def test_a_function_for_a_number_is_not_built():
     table = tomllib.loads(GOOD)
-    table["bodies"][0]["velocity"] = lambda x: x
-    with pytest.raises(NotBuilt, match=r"bodies\[0\].velocity"):
+    table["time"]["end"] = lambda x: x
+    with pytest.raises(NotBuilt, match=r"time.end"):
         Scene(**table)
 
 

@@ -27,13 +27,14 @@ class Key:
 @dataclass(frozen=True)
 class StateField:
     """One quantity a law keeps on its particles. `kind`: scalar, tensor (dim x dim), symmetric, or solid (symmetric with its
-    out-of-plane entry in 2-D); `rest`: its undeformed value, per diagonal entry for tensors (others rest at zero)."""
+    out-of-plane entry in 2-D), or numbers; `rest`: its undeformed value, per diagonal entry for tensors (others rest at zero),
+    of numbers a tuple of all."""
 
     name: str
     kind: str
     unit: str
     meaning: str
-    rest: float = 0.0
+    rest: float | tuple = 0.0
 
 
 DENSITY = Key("density", "kg/m3", "mass per volume of the undeformed material", above=0.0)

@@ -1,0 +1,250 @@
+"""How the particles of a body start: velocity, displacement and deformation, as constants or as functions of position.
+
+A function of position is plain Python over numpy: it takes the reference positions X (n, dim) of n particles in m and returns
+an array with a row for each. It is not compiled. It is tried on a few places before anything large is allocated; at seeding
+each rank calls it for its own particles, one layer of the grid at a time, so that what it is given, and with it the result
+to the last bit, is the same for any number of ranks.
+"""
+
+import functools
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from types import CodeType, FunctionType
+from typing import Any
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from pmpm.kernels import targets
+from pmpm.kernels.needs import law_needs
+from pmpm.physics import tensors2, tensors3
+from pmpm.scene.functions import Unfit
+from pmpm.scene.messages import Problem, Problems
+from pmpm.scene.values import check_vector
+
+PREFIX = "python:"  # of what stands for a function in a scene file
+TRIED = 5  # places; not a number of dimensions, so that rows and columns cannot be confused
+CANDIDATES = 4096
+SAME = 1e-6  # how far rows may differ between one point by itself and the same among others, by rounding
+MOST_DEPTH = 10
+
+
+# ---- what a scene may give ----
+
+
+def vector_field(unit: str) -> BeforeValidator:
+    """Accept two or three finite numbers, or a function of position."""
+    return BeforeValidator(function_or(check_vector(unit)))
+
+
+def matrix_field() -> BeforeValidator:
+    """Accept a square matrix, row by row, or a function of position."""
+    return BeforeValidator(function_or(check_matrix))
+
+
+def function_or(check: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def check_field(value: Any) -> Any:
+        if isinstance(value, str) and value.startswith(PREFIX):
+            name = value.split(":")[1]
+            text = f"is a Python function, which a file does not hold: give {name} here, from Python"
+            raise Problems(Problem((), text, value))
+        return value if callable(value) else check(value)
+
+    return check_field
+
+
+def check_matrix(value: Any) -> tuple[tuple[float, ...], ...]:
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if not isinstance(value, list | tuple) or len(value) not in (2, 3):
+        raise Problems(Problem((), "must be a square matrix like [[1.1, 0.0], [0.0, 1.0]]", value))
+    rows, problems = [], []
+    for index, row in enumerate(value):
+        try:
+            rows.append(check_vector("-")(row))
+        except Problems as error:
+            problems += [Problem((index, *p.path), p.text, p.value, p.built) for p in error.problems]
+    if problems:
+        raise Problems(*problems)
+    if any(len(row) != len(rows) for row in rows):
+        raise Problems(Problem((), f"must have {len(rows)} numbers in each of its {len(rows)} rows", value))
+    return tuple(rows)
+
+
+# ---- functions of position ----
+
+
+def evaluate(field: Any, X: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return (n, *shape) float64, a constant or a function of position at X (n, dim). Raises Unfit."""
+    wanted = (len(X), *shape)
+    if not callable(field):
+        return np.broadcast_to(np.asarray(field, float), wanted)
+    try:
+        with np.errstate(all="ignore"):
+            found = np.asarray(field(X.copy()))
+    except Exception as error:
+        raise Unfit(f"fails for {len(X)} points like {place(X[0])}: {type(error).__name__}: {error}") from None
+    if found.shape != wanted:
+        raise Unfit(f"must return an array of shape {wanted} for {len(X)} points, not of shape {found.shape}")
+    if found.dtype.kind not in "fiu":
+        raise Unfit(f"must return real numbers, not {found.dtype}")
+    found = found.astype(np.float64)
+    wrong = np.flatnonzero(~np.isfinite(found.reshape(len(X), -1)).all(axis=1))
+    if len(wrong):
+        values = ", ".join(f"{value:g}" for value in found[wrong[0]].ravel())
+        raise Unfit(f"must return finite numbers, not ({values}), at {place(X[wrong[0]])}")
+    return found
+
+
+def place(X: np.ndarray) -> str:
+    return f"X = ({', '.join(f'{coordinate:.6g}' for coordinate in X)}) m"
+
+
+def places_in(shapes: Sequence[Any], dim: int) -> np.ndarray:
+    """Return a few places (n, dim), m, in the first shape and in none of the others; maybe none if it is thin."""
+    low, high = shapes[0].bounds()
+    places = low + (high - low) * np.random.default_rng(0).random((CANDIDATES, dim))
+    inside = shapes[0].contains(places)
+    for later in shapes[1:]:
+        inside &= ~later.contains(places)
+    return places[inside][:TRIED]
+
+
+def check_field(field: Any, X: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise Unfit unless a function of position gives rows that depend on nothing but their place."""
+    if not callable(field) or not len(X):
+        return
+    together = evaluate(field, X, shape)
+    alone = np.concatenate([evaluate(field, X[n : n + 1], shape) for n in range(len(X))])
+    if not np.allclose(alone, together, rtol=SAME, atol=SAME * np.abs(together).max()):
+        raise Unfit(f"must depend on the position alone: {place(X[0])} has another value by itself than among others")
+
+
+def largest_speed(body: Any, dim: int) -> float:
+    """Return the largest speed that a body starts with, m/s; of a function, at the places where it is tried."""
+    X = places_in([body.shape], dim)
+    if callable(body.velocity) and not len(X):
+        return 0.0
+    v = evaluate(body.velocity, X if len(X) else np.zeros((1, dim)), (dim,))
+    return float(np.sqrt((v * v).sum(axis=1)).max())
+
+
+# ---- the record ----
+
+
+def record(field: Any) -> Any:
+    """Return what stands in a scene file: a constant itself, a function as python:<name>:<hash>."""
+    if not callable(field):
+        return field
+    name = getattr(field, "__name__", type(field).__name__)
+    return f"{PREFIX}{name}:{hashlib.sha256(fingerprint(field).encode()).hexdigest()[:12]}"
+
+
+def fingerprint(value: Any, above: tuple[Any, ...] = ()) -> str:
+    """Write down the code and the values that a function reaches, as far as they show; holds for one version of Python."""
+    if any(value is other for other in above) or len(above) > MOST_DEPTH:
+        return "again"
+    inside = functools.partial(fingerprint, above=(*above, value))
+    if isinstance(value, FunctionType):
+        names = [name for name in value.__code__.co_names if name in value.__globals__]
+        known = [f"{name}={inside(value.__globals__[name])}" for name in names]
+        closed = [inside(cell.cell_contents) for cell in value.__closure__ or ()]
+        return f"{inside(value.__code__)}{known}{closed}{inside(value.__defaults__)}{inside(value.__kwdefaults__)}"
+    if isinstance(value, CodeType):
+        return f"{value.co_code.hex()}{value.co_names}{[inside(constant) for constant in value.co_consts]}"
+    if isinstance(value, functools.partial):
+        return f"partial {inside(value.func)}{inside(value.args)}{inside(value.keywords)}"
+    if isinstance(value, np.ndarray | np.generic):
+        return f"{value.dtype}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
+    if isinstance(value, tuple | list):
+        return f"{[inside(item) for item in value]}"
+    if isinstance(value, dict):
+        return f"{[(str(key), inside(item)) for key, item in value.items()]}"
+    if value is None or isinstance(value, bool | int | float | complex | str | bytes):
+        return repr(value)
+    if callable(getattr(value, "__func__", None)):
+        return f"method {inside(value.__func__)}{inside(value.__self__)}"
+    own = {} if isinstance(value, type) or hasattr(value, "__spec__") else getattr(value, "__dict__", {})
+    call = vars(type(value)).get("__call__")
+    named = getattr(value, "__qualname__", getattr(value, "__name__", ""))
+    return f"{type(value).__qualname__} {named}{inside(own)}{inside(call) if isinstance(call, FunctionType) else ''}"
+
+
+# ---- states of a law over arrays ----
+
+
+class ArrayLaw:
+    """The law of a material over arrays of particles in double precision, with the numbers of its formulas."""
+
+    def __init__(self, material: Any, dim: int):
+        self.dim, self.needs = dim, law_needs(material.model, material.parameters)
+        self.module: Any = self.needs.module
+        self.params = tuple(map(float, self.module.parameters(material.parameters, dim)))
+        self.target = targets.arrays(
+            np.float64, la=tensors2 if dim == 2 else tensors3, law=self.module, **dict(self.needs.choices)
+        )
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return self.target.compile(getattr(self.module, name))(*arguments)
+
+    def state_at(self, F: np.ndarray) -> np.ndarray:
+        """Return the states (n, size) of particles that are elastically deformed by F (n, dim, dim)."""
+        columns = tuple(np.ascontiguousarray(column) for column in F.reshape(len(F), -1).T)
+        return rows(self.call("state_at", columns, self.params), len(F))
+
+    def valid(self, state: np.ndarray) -> np.ndarray:
+        """Say which states (n, size) are finite and valid: bool (n,)."""
+        valid = np.broadcast_to(self.call("valid", columns_of(state)), len(state))
+        return valid & np.isfinite(state).all(axis=1)
+
+
+def columns_of(state: np.ndarray) -> tuple[np.ndarray, ...]:
+    return tuple(np.ascontiguousarray(column) for column in state.T)
+
+
+def rows(columns: Any, count: int) -> np.ndarray:
+    """Return (count, columns) from the tuple that a law gives, whose entries may be single numbers."""
+    return np.stack([np.broadcast_to(np.asarray(column, float), count) for column in columns], axis=-1)
+
+
+def deformed_states(law: ArrayLaw, deformation: Any, X: np.ndarray) -> np.ndarray:
+    """Return the states (n, size) of particles at X with a deformation. Raises Unfit where the law has none."""
+    F = evaluate(deformation, X, (law.dim, law.dim))
+    states = law.state_at(F)
+    wrong = np.flatnonzero(~law.valid(states))
+    if len(wrong):
+        first = F[wrong[0]]
+        entries = ", ".join(f"{entry:g}" for entry in first.ravel())
+        where = f" at {place(X[wrong[0]])}" if callable(deformation) else ""
+        raise Unfit(
+            f"is no state of {law.needs.model}: F = ({entries}) with det F = {np.linalg.det(first):.6g}{where}; "
+            "det F must be > 0"
+        )
+    return states
+
+
+def wrong_start(body: Any, dim: int) -> Iterator[Problem]:
+    """Yield what is wrong with the start of a body, as far as neither law nor functions matter."""
+    for key in ("velocity", "displacement", "deformation"):
+        field = getattr(body, key)
+        if field is not None and not callable(field) and len(field) != dim:
+            kind = f"must have {dim} numbers" if key != "deformation" else f"must be a {dim} x {dim} matrix"
+            yield Problem((key,), f"{kind} like domain.size", field)
+    starts = [key for key in ("deformation", "stress") if getattr(body, key) is not None]
+    starts += ["pressure"] if body.pressure != "zero" else []
+    if len(starts) > 1:
+        yield Problem((starts[0],), f"excludes {starts[1]}: both say in which state the particles start")
+
+
+def wrong_functions(body: Any, shapes: Sequence[Any], law: ArrayLaw) -> Iterator[Problem]:
+    """Yield what shows when the functions of a body are tried on a few places; shapes: its own and those of later bodies."""
+    dim, X = law.dim, places_in(shapes, law.dim)
+    for key, shape in (("velocity", (dim,)), ("displacement", (dim,)), ("deformation", (dim, dim))):
+        field = getattr(body, key)
+        try:
+            if field is not None:
+                check_field(field, X, shape)
+            if key == "deformation" and field is not None:
+                deformed_states(law, field, X if callable(field) else np.zeros((1, dim)))
+        except Unfit as complaint:
+            yield Problem((key,), str(complaint), field)
