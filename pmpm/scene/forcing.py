@@ -1,8 +1,7 @@
 """What drives the material of a scene from outside, besides gravity: a body force, loads, walls and regions in motion."""
 
-import hashlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import FunctionType
 from typing import Annotated, Any
 
@@ -12,34 +11,14 @@ from pydantic import BeforeValidator, Field, field_serializer, model_validator
 from pmpm.scene import functions
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.part import Part
+from pmpm.scene.recorded import function_or, record, refuse_record
 from pmpm.scene.shapes import Shape, wrong_length
 from pmpm.scene.values import check_vector, flag, vector
 
 Path = tuple[str | int, ...]
 
 
-def mark(function: Callable) -> str:
-    """Return what a run's scene.toml says in the place of a function: its name and a hash of its code."""
-    code = getattr(function, "__code__", None)
-    text = repr((code.co_code, code.co_consts, code.co_names)) if code else repr(function)
-    name = getattr(function, "__name__", type(function).__name__)
-    return f"python:{name}:{hashlib.sha256(text.encode()).hexdigest()[:12]}"
-
-
-def refuse_mark(value: Any) -> None:
-    """Raise Problems where a file names a function that it does not hold."""
-    if isinstance(value, str) and value.startswith("python:"):
-        name = value.split(":")[1]
-        raise Problems(Problem((), f"is a Python function, which a file does not hold: give {name} from Python", value))
-
-
 # ---- velocities that may change with time --------------------------------------------------------------------------------
-
-
-def velocity_or_function(value: Any) -> Any:
-    """Accept a vector, or a function of time (s) that returns one; what it returns is checked with the dimension."""
-    refuse_mark(value)
-    return value if callable(value) else check_vector("m/s")(value)
 
 
 def velocity_at(velocity: Any, time: float) -> tuple[float, ...]:
@@ -55,17 +34,15 @@ def wrong_velocity(velocity: Any, dim: int) -> Iterator[Problem]:
     try:
         found = velocity_at(velocity, 0.0)
     except Exception as error:
-        yield Problem(("velocity",), f"fails at t = 0 s: {type(error).__name__}: {error}", mark(velocity))
+        yield Problem(("velocity",), f"fails at t = 0 s: {type(error).__name__}: {error}", record(velocity))
         return
     if len(found) != dim or not all(map(math.isfinite, found)):
-        yield Problem(("velocity",), f"must return {dim} finite numbers (m/s), not {found} at t = 0 s", mark(velocity))
+        yield Problem(
+            ("velocity",), f"must return {dim} finite numbers (m/s), not {found} at t = 0 s", record(velocity)
+        )
 
 
-Velocity = Annotated[Any, BeforeValidator(velocity_or_function)]
-
-
-def velocity_text(velocity: Any) -> Any:
-    return mark(velocity) if callable(velocity) else velocity
+Velocity = Annotated[Any, BeforeValidator(function_or(check_vector("m/s")))]  # constant, or a function of time (s)
 
 
 # ---- loads and regions -----------------------------------------------------------------------------------------------------
@@ -112,7 +89,7 @@ class Motion(Part):
 
     @field_serializer("velocity")
     def recorded_velocity(self, velocity: Any) -> Any:
-        return velocity_text(velocity)
+        return record(velocity)
 
 
 # ---- body force ----------------------------------------------------------------------------------------------------------
@@ -120,7 +97,7 @@ class Motion(Part):
 
 def body_force_function(value: Any) -> Any:
     """Accept a function b(x, X, t) of plain Python that kernels can compile."""
-    refuse_mark(value)
+    refuse_record(value)
     functions.check_compilable(value, ("x", "X", "t"))
     return value
 
@@ -139,7 +116,7 @@ def wrong_body_force(function: Any, dim: int, size: tuple[float, ...]) -> Iterat
     try:
         functions.check_acceleration(function, dim, 0.5 * np.array(size))
     except functions.Unfit as complaint:
-        yield Problem(("body_force",), f"{complaint}; {functions.RULES}", mark(function))
+        yield Problem(("body_force",), f"{complaint}; {functions.RULES}", record(function))
 
 
 BodyForce = Annotated[Any, BeforeValidator(body_force_function)]

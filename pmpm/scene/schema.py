@@ -17,6 +17,7 @@ from pmpm.scene.geostatic import Geostatic
 from pmpm.scene.materials import AnyMaterial, Material
 from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_error, value_text
 from pmpm.scene.part import Part
+from pmpm.scene.recorded import record
 from pmpm.scene.shapes import AXES, Shape, wrong_length
 from pmpm.scene.values import check_word, choice, flag, names, number, tables, text, vector, whole
 from pmpm.state.fields import Field as StoredField
@@ -63,7 +64,7 @@ class Wall(Part):
     def short(self) -> Any:
         own = {"coefficient": self.coefficient} if self.type == "friction" else {}
         if self.velocity is not None:
-            own["velocity"] = forcing.velocity_text(self.velocity)
+            own["velocity"] = record(self.velocity)
         return {"type": self.type, **own} if own else self.type
 
 
@@ -247,7 +248,7 @@ class Body(Part):
 
     @field_serializer("velocity", "displacement", "deformation")
     def field_or_record(self, value: Any) -> Any:
-        return start.record(value)
+        return record(value)
 
 
 class Output(Part):
@@ -342,7 +343,7 @@ class Scene(Part):
 
     @field_serializer("body_force")
     def recorded_force(self, function: Any) -> Any:
-        return function and forcing.mark(function)
+        return function and record(function)
 
     @field_serializer("materials")
     def tables_of_materials(self, materials: dict[str, Material]) -> dict[str, dict[str, Any]]:

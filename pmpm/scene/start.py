@@ -6,10 +6,7 @@ each rank calls it for its own particles, one layer of the grid at a time, so th
 to the last bit, is the same for any number of ranks.
 """
 
-import functools
-import hashlib
-from collections.abc import Callable, Iterator, Sequence
-from types import CodeType, FunctionType
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,13 +17,12 @@ from pmpm.kernels.needs import law_needs
 from pmpm.physics import tensors2, tensors3
 from pmpm.scene.functions import Unfit
 from pmpm.scene.messages import Problem, Problems
+from pmpm.scene.recorded import function_or
 from pmpm.scene.values import check_vector
 
-PREFIX = "python:"  # of what stands for a function in a scene file
 TRIED = 5  # places; not a number of dimensions, so that rows and columns cannot be confused
 CANDIDATES = 4096
 SAME = 1e-6  # how far rows may differ between one point by itself and the same among others, by rounding
-MOST_DEPTH = 10
 
 
 # ---- what a scene may give ----
@@ -40,17 +36,6 @@ def vector_field(unit: str) -> BeforeValidator:
 def matrix_field() -> BeforeValidator:
     """Accept a square matrix, row by row, or a function of position."""
     return BeforeValidator(function_or(check_matrix))
-
-
-def function_or(check: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    def check_field(value: Any) -> Any:
-        if isinstance(value, str) and value.startswith(PREFIX):
-            name = value.split(":")[1]
-            text = f"is a Python function, which a file does not hold: give {name} here, from Python"
-            raise Problems(Problem((), text, value))
-        return value if callable(value) else check(value)
-
-    return check_field
 
 
 def check_matrix(value: Any) -> tuple[tuple[float, ...], ...]:
@@ -129,47 +114,6 @@ def largest_speed(body: Any, dim: int) -> float:
 
 
 # ---- the record ----
-
-
-def record(field: Any) -> Any:
-    """Return what stands in a scene file: a constant itself, a function as python:<name>:<hash>."""
-    if not callable(field):
-        return field
-    name = getattr(field, "__name__", type(field).__name__)
-    return f"{PREFIX}{name}:{hashlib.sha256(fingerprint(field).encode()).hexdigest()[:12]}"
-
-
-def fingerprint(value: Any, above: tuple[Any, ...] = ()) -> str:
-    """Write down the code and the values that a function reaches, as far as they show; holds for one version of Python."""
-    if any(value is other for other in above) or len(above) > MOST_DEPTH:
-        return "again"
-    inside = functools.partial(fingerprint, above=(*above, value))
-    if isinstance(value, FunctionType):
-        names = [name for name in value.__code__.co_names if name in value.__globals__]
-        known = [f"{name}={inside(value.__globals__[name])}" for name in names]
-        closed = [inside(cell.cell_contents) for cell in value.__closure__ or ()]
-        return f"{inside(value.__code__)}{known}{closed}{inside(value.__defaults__)}{inside(value.__kwdefaults__)}"
-    if isinstance(value, CodeType):
-        return f"{value.co_code.hex()}{value.co_names}{[inside(constant) for constant in value.co_consts]}"
-    if isinstance(value, functools.partial):
-        return f"partial {inside(value.func)}{inside(value.args)}{inside(value.keywords)}"
-    if isinstance(value, np.ndarray | np.generic):
-        return f"{value.dtype}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
-    if isinstance(value, tuple | list):
-        return f"{[inside(item) for item in value]}"
-    if isinstance(value, dict):
-        return f"{[(str(key), inside(item)) for key, item in value.items()]}"
-    if value is None or isinstance(value, bool | int | float | complex | str | bytes):
-        return repr(value)
-    if callable(getattr(value, "__func__", None)):
-        return f"method {inside(value.__func__)}{inside(value.__self__)}"
-    own = {} if isinstance(value, type) or hasattr(value, "__spec__") else getattr(value, "__dict__", {})
-    call = vars(type(value)).get("__call__")
-    named = getattr(value, "__qualname__", getattr(value, "__name__", ""))
-    return f"{type(value).__qualname__} {named}{inside(own)}{inside(call) if isinstance(call, FunctionType) else ''}"
-
-
-# ---- states of a law over arrays ----
 
 
 class ArrayLaw:
