@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from pmpm.physics.materials import LAWS, PLANNED
+from pmpm.physics.materials import LAWS
 from pmpm.physics.materials.examples import EXAMPLES
 from pmpm.point import report
 from pmpm.point.command import complete_keys, completed, course_text, short_text, typical_run
@@ -40,8 +40,6 @@ def index():
     lines += [
         "see [below](#one-particle-on-a-path). A function of your own is [a law, too](../scene.md#a-law-of-your-own)."
     ]
-    if PLANNED:
-        lines.append(f"Not built yet: {', '.join(f'`{name}`' for name in PLANNED)}.")
     return "\n".join([*lines, "", POINT])
 
 

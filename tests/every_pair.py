@@ -8,14 +8,15 @@ def pairs_of(row):
     return set(itertools.combinations(row.items(), 2))
 
 
-def full_product(factors):
-    """All rows {factor: value} of `factors` {name: values}, in order."""
-    return [dict(zip(factors, values, strict=True)) for values in itertools.product(*factors.values())]
+def full_product(factors, allowed=lambda row: True):
+    """All allowed rows {factor: value} of `factors` {name: values}, in order."""
+    rows = [dict(zip(factors, values, strict=True)) for values in itertools.product(*factors.values())]
+    return [row for row in rows if allowed(row)]
 
 
-def every_pair(factors):
-    """Rows of the full product that hold every pair of values: time and again the first one with the most new pairs."""
-    rows = full_product(factors)
+def every_pair(factors, allowed=lambda row: True):
+    """Rows, as far as allowed, that hold every pair of values: time and again the first one with the most new pairs."""
+    rows = full_product(factors, allowed)
     missing = set().union(*map(pairs_of, rows))
     chosen = []
     while missing:
