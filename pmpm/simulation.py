@@ -349,9 +349,10 @@ class Simulation:
         """Where an axis other than the slab axis repeats, what lies near one end also lies near the other."""
         if not self.wraps:
             return
-        boxes, shape = self.patch.boxes, self.geometry.plane_shape
+        boxes, (across, along) = self.patch.boxes, self.geometry.plane_shape
+        along -= self.geometry.row_padding
         shared = self.needs.stencil.window - 1
-        for column, axis, extent in ((0, self.geometry.axes[1], shape[0]), (2, self.geometry.axes[2], shape[1] - 4)):
+        for column, axis, extent in ((0, self.geometry.axes[1], across), (2, self.geometry.axes[2], along)):
             if axis >= 0 and self.geometry.periodic[axis]:
                 held = boxes[:, column] < boxes[:, column + 1]
                 near = (boxes[:, column] < shared) | (boxes[:, column + 1] > self.geometry.cells[axis])

@@ -38,10 +38,15 @@ class Geometry:
         return self.homes(axis) + self.stencil.reach_low + self.stencil.reach_high
 
     @property
+    def row_padding(self):
+        """Nodes at the end of a row: for what a row of four has beyond the stencil, and boxes taken in rows of four."""
+        return 4 - self.stencil.nodes + 3
+
+    @property
     def plane_shape(self):
         """Nodes of a plane along middle and row; rows are padded so that no row of four nodes leaves its own."""
         _, middle, row = self.axes
-        return (1 if middle < 0 else self.extent(middle), self.extent(row) + 4)
+        return (1 if middle < 0 else self.extent(middle), self.extent(row) + self.row_padding)
 
 
 class Patch:

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.mpi(min_size=2)
 COMM = World(MPI.COMM_WORLD)
 QUADRATIC = STENCILS["quadratic"]
 WINDOW, LOW, HIGH = QUADRATIC.window, QUADRATIC.reach_low, QUADRATIC.reach_high
-CELLS = 17
+CELLS, ROW_PADDING = 17, 4
 GRIDS = {  # cells and array axes of the slab axis x, y, z
     "x in 2-D": ((CELLS, 3), (0, -1, 1)),
     "y in 2-D": ((3, CELLS), (1, -1, 0)),
@@ -47,7 +47,7 @@ def boxes_of_layers(layers, shape):
     """(layers, 4) where along middle and row each layer gives anything; one gives nothing."""
     random = np.random.default_rng(5)
     low = random.integers(0, 2, (layers, 2)) * (np.array(shape) > 1)
-    row = shape[1] - 4  # the rest lets rows of four nodes reach over their end
+    row = shape[1] - ROW_PADDING  # the rest lets rows of four nodes reach over their end
     boxes = np.stack([low[:, 0], np.full(layers, shape[0]), low[:, 1], row - low[:, 1]], axis=1)
     boxes[3] = EMPTY_BOX
     return boxes
