@@ -108,6 +108,7 @@ class LawNeeds:
         """Names of the fields."""
         return tuple(field.name for field in self.fields)
 
+    @property
     def viscous(self):
         """Whether stress follows from the velocity gradient, too."""
         return bool(dict(self.choices).get("VISCOUS"))
