@@ -181,7 +181,7 @@ steps by `mpirun -n {given.ranks} python -m pmpm run mixed_materials --steps {gi
 
 {report["particles"]} particles ({numbers}), {run.scene.method.precision}, up to t = {report["time"]:.3f} s with steps of
 {told["dt"].min():.3g} to {told["dt"].max():.3g} s, {report["regroups"]} regroups. Seconds per phase, mean over ranks, on a
-machine busy with other work, for which a rank waits in the halo: {phases}.
+machine busy with other work (halo: also waiting for the other rank): {phases}.
 
 ![The box at four times](../pictures/mixed_materials.png)
 
@@ -197,8 +197,8 @@ machine busy with other work, for which a rank waits in the halo: {phases}.
 
 Dissipated is what the total has lost: friction in sand, crushing of snow, impacts of water and the transfer scheme itself.
 Materials touch through the nodes they share, which have one velocity: where they touch they do not slip along each other.
-The cells are coarse for a picture of the whole: the bank of sand is five of them high and slumps less than it should. Alone, in a
-box a quarter as deep, its upper edge moved 1.6 cm forward in 0.3 s, and 4.3 cm with half the cell size.
+The cells are coarse: the bank of sand is five of them high, and slumps less than on finer ones. Run by hand, the sand alone
+in a box a quarter as deep moved its upper edge forward by 1.6 cm in 0.3 s, and by 4.3 cm with half the cell size.
 
 ![Energies over time](../pictures/mixed_materials_energies.png)
 """
