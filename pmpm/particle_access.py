@@ -76,4 +76,4 @@ def writable(simulation, name):
 def simulation_fields(simulation):
     """Names that `particles` answers to."""
     stored = [f.name for layout in simulation.layouts for f in layout.fields]
-    return list(dict.fromkeys(["x", "v", "C", *stored, "J", "mass", "volume0", "material", "id", "density", "stress"]))
+    return list(dict.fromkeys([*stored, "J", "mass", "volume0", "material", "id", "density", "stress"]))

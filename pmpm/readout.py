@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from pmpm.physics.materials import law_of
-from pmpm.state.fields import Field
+from pmpm.state.fields import OPTIONAL, Field
 
 
 def order(simulation):
@@ -36,8 +36,8 @@ def stored_field(simulation, derived, name):
     values = derived.field(name)
     if values is None:
         laws = [(law_of(material.model), material.parameters) for material in simulation.scene.materials.values()]
-        known = [f for law, keys in laws for f in (*law.STATE, *law.state_fields(keys)) if f.name == name]
-        size = max(Field.of(f).size(simulation.dim) for f in known)
+        states = [Field.of(f) for law, keys in laws for f in (*law.STATE, *law.state_fields(keys))]
+        size = max(f.size(simulation.dim) for f in (*states, *OPTIONAL) if f.name == name)
         values = np.full((len(derived.population), size), np.nan, simulation.real)
     return values[:, 0] if values.shape[1] == 1 else values
 

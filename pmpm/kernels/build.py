@@ -66,6 +66,23 @@ class Kernels:
         }
 
 
+def law_entries(needs):
+    """Names of the entries that each law has of its own, as in `Kernels.entries` without the law's number."""
+    blended = ["p2g before"] if needs.scheme.blends else []
+    averaged = ["p2g divergence", "divergence"] if needs.f_bar else []
+    return ["p2g", "g2p", *blended, *averaged]
+
+
+def wall_entries(needs):
+    return [f"{part} {name}" for part in ("wall", "image") for name in sorted(set(needs.wall_types) & set(WALLS))]
+
+
+def shared_entries(gravity, damped, cuts):
+    """Names of the entries without a law that a run calls: the others are never compiled."""
+    per_scene = [name for name in PER_SCENE if gravity or name != "add_gravity"]
+    return [*per_scene, *(PER_OPTION if damped else ()), *(PER_CUT if cuts else ()), *PER_PLACES, *SORTING]
+
+
 def chosen_loops():
     """PMPM_LOOPS if it is set, which may be anything; else the name of the faster of LOOPS on this machine: `scalar` where
     nobody has tried the vectors."""

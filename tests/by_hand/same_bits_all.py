@@ -19,7 +19,7 @@ import bits  # noqa: E402
 from pmpm.scene.files import builtin_scenes  # noqa: E402
 from pmpm.scene.schema import Scene  # noqa: E402
 
-SHARE = {"column_collapse_3d": 0.1, "dam_break_3d": 0.6}
+SHARE = {"column_collapse_3d": 0.1, "dam_break_3d": 0.6, "mixed_materials": 0.3}
 PUSH = {"column_collapse_3d": {"bodies.0.velocity": [0.5, 0.0, 0.0]}}
 LIMIT = 3600
 ROW = "{:20s} {:9s} {:>5} {:>8} {:>10} {:>9} {:>9} {:>8}  {:22s} {}"
