@@ -8,7 +8,7 @@ pictures there (needs matplotlib). --quick: cells of twice the size and 3 cycles
 
 tossed   a bed between slip walls gets the velocity V y / h(t) upwards, flies apart evenly, falls, rests; h: its top
 heaved   a plunger in the floor rises and returns in 0.1 s (a region with a velocity), the bed rests for 0.5 s
-crater   a charge on the floor throws the middle of a bed up and out
+crater   a charge in the middle of a bed throws up what is above it
 
 Volume correction: A. P. Tampubolon et al., ACM Trans. Graph. 36 (2017) 105, section 4.3.4.
 
@@ -16,8 +16,8 @@ What is expected of `tossed`. While it flies, the bed is stretched evenly and fr
 trajectory of its own. Without correction the strain starts from zero at every moment of flight: any compression is answered
 at once, and a grain stops for good where it turns, v^2 / 2g higher. The top gains V^2 / 2g per cycle, the mean V^2 / 6g (soft
 sand loses a part of it to the compression of its landing). With correction nothing resists before the old volume is back.
-Gates: with correction mean height and area change by at most 3 % in all cycles of `tossed`; without it the mean gains 0.4 to
-1.2 of the above per cycle. The crater: vertical force of every section within 5 % of the weight above in both; with
+Gates: with correction mean height and area change by at most 3 % in all cycles of `tossed`; without it the mean gains 0.6 to
+1.1 of the above per cycle. The crater: vertical force of every section within 1 % of the weight above in both; with
 correction area within 3 %, without at least 3 times that.
 """
 
@@ -38,13 +38,13 @@ SAND = {
     "poisson_ratio": 0.3,
     "friction_angle": 30.0,
 }
-CYCLE, CYCLES = 0.6, 8  # s
+CYCLE, CYCLES = 0.6, 6  # s
 WIDTH, HEIGHT = 0.2, 0.1  # of the bed that is tossed and heaved, m
 TOSS, HEAVE = 0.5, 0.6  # m/s
 BED = (0.3, 0.12)  # of the crater, m
 CHARGE, DEPTH, REACH, REST = 2.5, 0.06, 0.03, 2.5  # m/s, m above the floor, m, s
 DAMPING = 2.0  # 1/s, of the crater: a bed of sand rings for long in its elastic range
-KEPT, GAINS, BALANCE = 0.03, (0.4, 1.2), 0.05
+KEPT, GAINS, BALANCE = 0.03, (0.6, 1.1), 0.01
 NAMES = {True: "with correction", False: "without"}
 
 
@@ -107,13 +107,21 @@ def sections(simulation, size, count=8):
     return np.array(found)
 
 
+def claims(simulation):
+    """(mean volume ratio J, share of the opening v_c that a twentieth of the grains keep) with correction, else nan."""
+    if not simulation.scene.materials["sand"].parameters["volume_correction"]:
+        return math.nan, math.nan
+    v_c = np.sort(np.expm1(simulation.particles.v_c))
+    return simulation.particles.J.mean(), v_c[-(len(v_c) // 20) :].sum() / max(v_c.sum(), 1e-300)
+
+
 def pressure(simulation):
     """Of grains, Pa: minus the mean of the normal stresses."""
     return -simulation.particles.stress[:, :3].mean(axis=1)
 
 
 def unloaded(simulation):
-    """Share of the grains more than 4 cells beneath the surface with less than a tenth of the weight above as vertical stress."""
+    """Share of grains with less than a tenth of the weight above as vertical stress, of those 4 cells below the surface."""
     particles, cell_size = simulation.particles, simulation.scene.domain.cell_size
     top = profile(simulation)
     columns = np.minimum((particles.x[:, 0] / cell_size).astype(int), len(top) - 1)
@@ -147,6 +155,7 @@ def tossed(corrected, cell_size, cycles, tell=print, size=(WIDTH, HEIGHT)):
         simulation.run(until=CYCLE * cycle)
         found.append(occupied(simulation))
         tell(line("tossed", corrected, cycle, found, size[1]))
+    tell("tossed, mean J {:.4f}, {:.0%} of the opening in 5 % of the grains".format(*claims(simulation)))
     return np.array(found) / [size[1], size[1], 1.0]
 
 
@@ -164,6 +173,7 @@ def heaved(corrected, cell_size, cycles, tell=print):
         simulation.run(until=CYCLE * cycle)
         found.append(occupied(simulation))
         tell(line("heaved", corrected, cycle, found, HEIGHT))
+    tell("heaved, mean J {:.4f}, {:.0%} of the opening in 5 % of the grains".format(*claims(simulation)))
     return np.array(found) / [HEIGHT, HEIGHT, 1.0]
 
 
@@ -193,11 +203,13 @@ def crater(corrected, cell_size, tell=print):
         "surface": surface / first - 1.0,
         "unloaded": unloaded(simulation),
         "speed": speed,
+        "claims": claims(simulation),
     }
     lowest, highest = found["sections"][:, 1].min(), found["sections"][:, 1].max()
     tell(
         f"crater, {NAMES[corrected]:15} at rest: surface {found['surface']:+.2%}, vertical force {lowest:.3f} to {highest:.3f} "
-        f"of the weight above, unloaded {found['unloaded']:.1%}, largest speed {speed:.1e} m/s"
+        f"of the weight above, unloaded {found['unloaded']:.1%}, J {found['claims'][0]:.4f}, "
+        f"{found['claims'][1]:.0%} of the opening in 5 % of the grains, largest speed {speed:.1e} m/s"
     )
     return found
 
@@ -219,7 +231,9 @@ def complaints(toss, holes=None):
         for corrected, hole in holes.items():
             off = np.abs(hole["sections"][:, 1] - 1.0).max()
             if off > BALANCE:
-                found.append(f"crater {NAMES[corrected]}: a section carries {off:.1%} more or less than the weight above")
+                found.append(
+                    f"crater {NAMES[corrected]}: a section carries {off:.1%} more or less than the weight above"
+                )
         if abs(holes[True]["surface"]) > KEPT:
             found.append(f"crater with correction: the surface changes by {holes[True]['surface']:+.1%}")
         if holes[False]["surface"] < 3.0 * KEPT:
@@ -249,9 +263,12 @@ def crater_table(holes):
             hole["sections"][:, 1].min(), hole["sections"][:, 1].max()
         ),
         "unloaded, of the grains 4 cells below the surface": lambda hole: f"{hole['unloaded']:.1%}",
+        "mean J that the grains remember": lambda hole: f"{hole['claims'][0]:.3f}",
+        "share of the opening in 5 % of the grains": lambda hole: f"{hole['claims'][1]:.0%}",
         "largest speed, m/s": lambda hole: f"{hole['speed']:.1e}",
     }
     lines += [f"| {name} | {value(holes[True])} | {value(holes[False])} |" for name, value in rows.items()]
+    lines = [text.replace("nan%", "not kept").replace("nan", "not kept") for text in lines]
     return "\n".join(lines)
 
 
@@ -269,7 +286,9 @@ def plot_cycles(runs, path):
     for axes, (name, pair) in zip(row, runs.items(), strict=True):
         for corrected, colour in ((True, "tab:blue"), (False, "tab:red")):
             found = pair[corrected]
-            axes.plot(found[:, 0] / found[0, 0] - 1.0, "o-", color=colour, ms=4, label=f"{NAMES[corrected]}: mean height")
+            axes.plot(
+                found[:, 0] / found[0, 0] - 1.0, "o-", color=colour, ms=4, label=f"{NAMES[corrected]}: mean height"
+            )
             axes.plot(found[:, 1] / found[0, 1] - 1.0, "s--", color=colour, ms=4, mfc="none", label="surface")
         if name == "tossed":
             cycles = np.arange(len(pair[False]))
@@ -288,17 +307,25 @@ def plot_crater(holes, path):
     )
     for corrected, row in zip((True, False), rows, strict=True):
         for axes, (time, x, p) in zip(row, holes[corrected]["shots"], strict=True):
-            drawn = axes.scatter(*(1000.0 * x.T), c=p, s=1.5, lw=0, vmin=0.0, vmax=DENSITY * GRAVITY * BED[1], cmap="viridis")
+            look = {"s": 1.5, "lw": 0, "antialiased": False, "vmin": 0.0, "vmax": DENSITY * GRAVITY * BED[1]}
+            drawn = axes.scatter(*(1000.0 * x.T), c=p, cmap="viridis", **look)
             axes.axhline(1000.0 * BED[1], color="grey", lw=0.6)
-            axes.set(title=f"{NAMES[corrected]}, t = {time:.1f} s", aspect="equal", xlim=(0, 1000.0 * BED[0]), ylim=(0, 240))
+            axes.set(
+                title=f"{NAMES[corrected]}, t = {time:.1f} s", aspect="equal", xlim=(0, 1000.0 * BED[0]), ylim=(0, 240)
+            )
             axes.title.set_fontsize(9)
     figure.colorbar(drawn, ax=rows, label="pressure (Pa)", fraction=0.02, pad=0.01)
-    figure.savefig(path, dpi=80, pil_kwargs={"optimize": True})
+    figure.savefig(path, dpi=80)
+    from PIL import Image
+
+    # Thousands of dots: with colours of a palette they take a third.
+    Image.open(path).convert("RGB").quantize(48, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def write_page(docs, runs, holes, verdict):
     plot_cycles(runs, docs / "pictures" / "sand_volume_cycles.png")
     plot_crater(holes, docs / "pictures" / "sand_volume_crater.png")
+    gain, stroke = TOSS**2 / (3.0 * GRAVITY * HEIGHT), 1000.0 * HEAVE * 0.1 / math.pi
     text = f"""# The volume of sand that is dilated and falls again
 
 `python benchmarks/sand_volume.py --docs docs` wrote this page: beds of `drucker_prager` sand with and without
@@ -309,17 +336,24 @@ at the end of a cycle; `mean` is the change of the mean height of the grains, `s
 
 ![gain of volume against cycles](../pictures/sand_volume_cycles.png)
 
-tossed: the bed gets V y / h upwards, V = {TOSS:g} m/s. Without correction a grain stays where it turns, V^2 y^2 / (2 g h^2) above
-its place: sand that has flown apart resists as soon as it closes. That is {TOSS**2 / (3.0 * GRAVITY * HEIGHT):.1%} of the mean height per cycle.
-heaved: a plunger in the floor, 80 mm wide, rises by {1000.0 * HEAVE * 0.1 / math.pi:.0f} mm... and returns; the surface is no longer flat,
-and the mean height also tells of its shape.
+tossed: the bed gets the velocity V y / h upwards, V = {TOSS:g} m/s. Without correction a grain stays where it turns,
+V^2 y^2 / (2 g h^2) above its place, because sand that has flown apart resists as soon as it closes: {gain:.1%} of the mean
+height per cycle. heaved: a plunger in the floor, 80 mm wide, rises by {stroke:.0f} mm and returns; the surface is no longer
+flat, and the mean height tells of its shape too.
 
 {crater_table(holes)}
 
 ![pressure around the crater](../pictures/sand_volume_crater.png)
 
-The grey line is the surface before. Grains whose v_c is not yet undone carry nothing. That each section carries the weight above
-is no merit of the correction: whatever rests does so, with loose sand between as well; what the correction decides is where it rests.
+The grey line is the surface before. Without correction what was thrown up stays there, as a roof over a hole. With it, sand
+falls until it has its volume again. Each section carries the weight above either way: all that rests does; what the
+correction decides is where it comes to rest.
+
+What falls short. J follows the velocity gradient of the grid. A grain that flies alone keeps its own, sees no neighbour, and
+its J grows on as if all around it flew apart at that rate; it lands with an opening that its neighbours do not have. Until
+it is compressed by as much it carries nothing, and they carry its share: the unloaded grains in the table, and the streaks of
+high and low pressure in the picture. So volume is kept on average, but stress where sand has landed is uneven, and a little
+volume is gained in each cycle. Averages of v_c over neighbours are not built.
 
 {verdict}
 """
