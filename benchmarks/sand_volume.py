@@ -353,10 +353,11 @@ correction decides is where it comes to rest.
 
 What falls short. J follows the velocity gradient of the grid. A grain that flies alone keeps its own, sees no neighbour, and
 its J grows on as exp(t div v), where sand that flies apart grows as (1 + t div v / 2)^2: after 0.1 s with div v = 20 / s
-one grain in free flight has J = 7.4, not 4. With div v = -20 / s it bounces first, and ends at 6.8. It lands with an opening that its neighbours do not have. Until
-it is compressed by as much it carries nothing, and they carry its share: the unloaded grains in the table, and the streaks of
-high and low pressure in the picture. So volume is kept on average, but stress where sand has landed is uneven, and a little
-volume is gained in each cycle. Averages of v_c over neighbours are not built.
+one grain in free flight has J = 7.4, not 4. With div v = -20 / s it bounces first, and ends at 6.8. It lands with an opening
+that its neighbours do not have. Until it is compressed by as much it carries nothing, and they carry its share: the
+unloaded grains in the table, and the streaks of high and low pressure in the picture. So volume is kept on average, but
+stress where sand has landed is uneven, and a little volume is gained in each cycle. Averages of v_c over neighbours are not
+built.
 
 {verdict}
 """
