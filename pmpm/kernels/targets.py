@@ -107,7 +107,7 @@ class Target:
         """The same, which numba's targets keep in the cache on disk."""
         return self.specialise(function, ENTRY)[0]
 
-    def specialise(self, function, role):
+    def specialise(self, function, role=PART):
         """(compiled copy, fingerprint of everything it reaches)."""
         key = function, role
         if key not in self.compiled:
