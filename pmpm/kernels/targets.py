@@ -6,7 +6,7 @@
   - its decimal literals in the scene's precision: `0.5 * x` stays float32.
 `__qualname__` carries the target and a hash over everything the copy reaches. numba's own cache key ignores globals and other
 files; the hash repairs both, so that a second process finds the compiled kernel and an edited law misses.
-This is the one file that leans on numba's internals; pyproject.toml pins numba for it.
+This file and parts.py are the ones that lean on numba's internals; pyproject.toml pins numba for them.
 """
 
 import hashlib
@@ -14,6 +14,7 @@ import math
 import os
 from pathlib import Path
 from types import FunctionType, ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -154,7 +155,7 @@ def jit(function, role):
 
     from pmpm.kernels import parts
 
-    options = {"error_model": "numpy", "fastmath": FAST, "boundscheck": None}
+    options: dict[str, Any] = {"error_model": "numpy", "fastmath": FAST, "boundscheck": None}
     if role == PART:
         name = function.__module__, function.__qualname__
         if name not in PARTS:
