@@ -161,14 +161,8 @@ def jit(function, role):
         if name not in PARTS:
             PARTS[name] = parts.Part(function, options | {"forceinline": True})
         return PARTS[name]
-    return numba.njit(
-        function,
-        **options,
-        cache=role == ENTRY,
-        nogil=True,
-        no_cfunc_wrapper=True,
-        pipeline_class=parts.EntryCompiler,
-    )
+    options |= {"cache": role == ENTRY, "nogil": True, "no_cfunc_wrapper": True}
+    return numba.njit(function, pipeline_class=parts.EntryCompiler, **options)
 
 
 def scalar(real, **choices):
