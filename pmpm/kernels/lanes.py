@@ -26,6 +26,7 @@ from pmpm.kernels.targets import FAST
 WIDTH = 16
 FLAGS = tuple(sorted(FAST))
 BITS = ir.IntType(32)
+ON_CPU = {"target": "cpu"}  # numba tries these meanings of a function first; its own, for any target, are many
 
 
 class Lanes(types.Type):
@@ -112,6 +113,8 @@ def define(function, emit, arity, result=lambda lanes: lanes):
 
     @infer_global(function)
     class Template(AbstractTemplate):
+        metadata = ON_CPU
+
         def generic(self, arguments, keywords):
             lanes = lanes_among(arguments) if len(arguments) == arity else None
             return signature(result(lanes), *[lanes] * arity) if lanes else None
@@ -181,6 +184,8 @@ for function, symbol in (
 def define_on_masks(function, emit, arity):
     @infer_global(function)
     class MaskTemplate(AbstractTemplate):
+        metadata = ON_CPU
+
         def generic(self, arguments, keywords):
             if len(arguments) == arity and isinstance(arguments[0], Mask) and len(set(arguments)) == 1:
                 return signature(arguments[0], *arguments)

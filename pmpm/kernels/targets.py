@@ -6,7 +6,7 @@
   - its decimal literals in the scene's precision: `0.5 * x` stays float32.
 `__qualname__` carries the target and a hash over everything the copy reaches. numba's own cache key ignores globals and other
 files; the hash repairs both, so that a second process finds the compiled kernel and an edited law misses.
-This is the one file that leans on numba's internals; pyproject.toml pins numba for it.
+This file and parts.py are the ones that lean on numba's internals; pyproject.toml pins numba for them.
 """
 
 import hashlib
@@ -14,6 +14,7 @@ import math
 import os
 from pathlib import Path
 from types import FunctionType, ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +44,8 @@ PRECISION_WORDS: dict = {
         )
     },
 }
+ENTRY, CALLED, PART = "entry", "called", "part"  # called by Python and kept on disk, only called, only called by others
+PARTS: dict = {}  # compiled in this process, by module and name
 OUTSIDE = ("numba", "numpy", "math", "builtins")  # modules whose functions are taken as they are
 
 
@@ -83,7 +86,7 @@ def means_word(owner, name, value):
 
 
 class Target:
-    """A way to compile: `label` and `real` (a numpy scalar type), `target_words`, `jit(function, is_entry)`, and choices.
+    """A way to compile: `label` and `real` (a numpy scalar type), `target_words`, `jit(function, role)`, and choices.
 
     `sources`: fingerprint of everything else the result depends on.
     """
@@ -98,21 +101,22 @@ class Target:
         self.compiled = {}
 
     def compile(self, function):
-        """The specialisation of a plain function."""
-        return self.specialise(function, False)[0]
+        """The specialisation of a plain function, for Python to call."""
+        return self.specialise(function, CALLED)[0]
 
     def entry(self, function):
-        """The specialisation of a function that Python calls; numba's targets keep it in the cache on disk."""
-        return self.specialise(function, True)[0]
+        """The same, which numba's targets keep in the cache on disk."""
+        return self.specialise(function, ENTRY)[0]
 
-    def specialise(self, function, is_entry):
+    def specialise(self, function, role=PART):
         """(compiled copy, fingerprint of everything it reaches)."""
-        key = function, is_entry
+        key = function, role
         if key not in self.compiled:
             code = function.__code__
             names, marks = (
                 {},
-                [self.label, self.sources, code.co_code.hex(), repr(code.co_consts), repr(function.__defaults__)],
+                [self.label, self.sources, code.co_code.hex(), repr(code.co_names), repr(code.co_consts)]
+                + [repr(function.__defaults__)],
             )
             for name in sorted(set(code.co_names)):
                 if name in self.words or name in function.__globals__:
@@ -121,7 +125,7 @@ class Target:
                     marks.append(f"{name}:{mark}")
             digest = hashlib.sha256("|".join(marks).encode()).hexdigest()[:12]
             copy = bound_copy(function, f"{self.label}_{digest}", self.real, names)
-            self.compiled[key] = self.jit(copy, is_entry), digest
+            self.compiled[key] = self.jit(copy, role), digest
         return self.compiled[key]
 
     def replace(self, owner, name, value, names):
@@ -129,7 +133,7 @@ class Target:
         if means_word(owner, name, value):
             value = self.words.get(name, value)
         if isinstance(value, FunctionType) and value.__module__.split(".")[0] not in OUTSIDE:
-            return self.specialise(value, False)
+            return self.specialise(value, PART)
         if isinstance(value, float):
             value = self.real(value)
         if isinstance(value, ModuleType) and value.__name__.split(".")[0] not in OUTSIDE[:2]:
@@ -142,13 +146,23 @@ class Target:
         return in_precision(value, self.real), getattr(value, "__qualname__", None) or repr(value)
 
 
-def jit(function, is_entry):
-    """Compile with numba: entry functions are kept on disk, the others become part of them."""
+def jit(function, role):
+    """Compile with numba: entries are kept on disk, parts become part of them.
+
+    Copies of one name are the same all through: what one kernel has compiled of a part serves the others of this process.
+    """
     import numba
 
-    if is_entry:
-        return numba.njit(function, error_model="numpy", fastmath=FAST, cache=True, nogil=True)
-    return numba.njit(function, error_model="numpy", fastmath=FAST, forceinline=True)
+    from pmpm.kernels import parts
+
+    options: dict[str, Any] = {"error_model": "numpy", "fastmath": FAST, "boundscheck": None}
+    if role == PART:
+        name = function.__module__, function.__qualname__
+        if name not in PARTS:
+            PARTS[name] = parts.Part(function, options | {"forceinline": True})
+        return PARTS[name]
+    options |= {"cache": role == ENTRY, "nogil": True, "no_cfunc_wrapper": True}
+    return numba.njit(function, pipeline_class=parts.EntryCompiler, **options)
 
 
 def scalar(real, **choices):
@@ -158,7 +172,8 @@ def scalar(real, **choices):
 
 def intrinsics():
     """Fingerprint of what the kernels reach that is not plain Python."""
-    return hashlib.sha256(Path(__file__).with_name("lanes.py").read_bytes()).hexdigest()
+    files = (Path(__file__).with_name(name) for name in ("lanes.py", "parts.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def lanes(real, **choices):
@@ -176,12 +191,12 @@ def arrays(real, **choices):
         for name in ("where", "floor", "sqrt", "exp", "log", "expm1", "log1p", "sin", "cos", "abs")
     }
     array_words |= {"min": np.minimum, "max": np.maximum, "any_of": np.any, "real": real}
-    return Target("arrays", real, array_words, lambda function, is_entry: function, choices)
+    return Target("arrays", real, array_words, lambda function, role: function, choices)
 
 
 def plain(**choices):
     """The source as it is, on Python floats: what tests compare the others with."""
-    return Target("plain", np.float64, {"real": float}, lambda function, is_entry: function, choices)
+    return Target("plain", np.float64, {"real": float}, lambda function, role: function, choices)
 
 
 def count_cache(kernels):

@@ -1,6 +1,7 @@
 """What the compiled kernels hold, and when they are compiled again."""
 
 import functools
+import gc
 import json
 import math
 import os
@@ -11,7 +12,9 @@ import struct
 import subprocess
 import sys
 from collections import Counter
+from contextlib import nullcontext
 from pathlib import Path
+from types import FunctionType
 
 import law_examples
 import llvmlite.binding
@@ -230,13 +233,16 @@ def print_registers():
 
 @on_x86
 def test_float32_kernels_compute_in_256_bits_on_machines_without_avx512(tmp_path):
-    environment = os.environ | {
-        "NUMBA_CPU_NAME": "x86-64-v3",
-        "NUMBA_CPU_FEATURES": "+avx2,+fma",  # numba adds those of this machine to the name unless told which
-        "PMPM_CACHE_DIR": str(tmp_path),
-        "PMPM_LOOPS": "lanes",
-        "PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), str(Path(__file__).parent)]),
-    }
+    environment = (
+        os.environ
+        | {
+            "NUMBA_CPU_NAME": "x86-64-v3",
+            "NUMBA_CPU_FEATURES": "+avx2,+fma",  # numba adds those of this machine to the name unless told which
+            "PMPM_CACHE_DIR": str(tmp_path),
+            "PMPM_LOOPS": "lanes",
+            "PYTHONPATH": os.pathsep.join(map(str, [PACKAGE.parent, *Path(__file__).parents[:2]])),
+        }
+    )
     command = [sys.executable, "-c", "import test_kernels; test_kernels.print_registers()"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
@@ -274,6 +280,71 @@ law = neo_hookean  # replaced by each target
 def advance_then_stress(state, G, params):
     advanced = law.advance(state, G, 1e-3, params)
     return advanced + law.kirchhoff_stress(advanced, params)
+
+
+# ---- parts of kernels ----------------------------------------------------------------------------------------------------
+
+
+def half(x):
+    return 0.5 * x
+
+
+def twice(x):
+    return x + x
+
+
+def half_of_twice(x):
+    return half(twice(x)) - twice(half(x) * 3.0)
+
+
+def test_what_a_kernel_calls_is_compiled_once_in_a_process_and_to_no_machine_code_of_its_own():
+    """Of two kernels made apart from one source; numba would compile each function for itself, and to the end."""
+    first, second = (targets.scalar(np.float64).compile(half_of_twice) for _ in range(2))
+    assert first is not second
+    assert first(5.0) == second(5.0) == 5.0 - 15.0
+    part = first.py_func.__globals__["twice"]
+    assert part is second.py_func.__globals__["twice"]
+    assert len(part.overloads) == 1
+    (compiled,) = part.overloads.values()
+    assert compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name) == 0
+    with pytest.raises(TypeError, match="twice is part of a kernel"):
+        part(5.0)
+
+
+def test_functions_that_change_places_change_the_fingerprint():
+    """The code of both is the same but for the order of the names in it."""
+
+    def swapped(x):
+        return twice(half(x)) - half(twice(x) * 3.0)
+
+    assert swapped.__code__.co_code == half_of_twice.__code__.co_code
+    copy = FunctionType(swapped.__code__, globals(), "half_of_twice")
+    assert targets.plain().specialise(copy)[1] != targets.plain().specialise(half_of_twice)[1]
+
+
+@pytest.mark.parametrize(("argument", "error"), [(1.0, None), ("text", numba.TypingError)])
+def test_garbage_is_collected_again_after_a_kernel_is_compiled(argument, error):
+    assert gc.isenabled()
+    kernel = targets.scalar(np.float64).compile(half)
+    with pytest.raises(error) if error else nullcontext():
+        kernel(argument)
+    assert gc.isenabled()
+
+
+def test_parts_may_hold_comprehensions():
+    """Passes that compile them are left out for parts without any."""
+    assert targets.scalar(np.float64).compile(sum_of_squares)(3) == 0.0 + 1.0 + 4.0
+
+
+def squares(count):
+    return [1.0 * k * k for k in range(count)]
+
+
+def sum_of_squares(count):
+    total = 0.0
+    for square in squares(count):
+        total += square
+    return total
 
 
 # ---- when kernels are compiled again -------------------------------------------------------------------------------------
