@@ -327,8 +327,11 @@ class Progress:
     def tell(self, what):
         elapsed = time.perf_counter() - self.began
         about = f" of about {elapsed * self.stages / self.done:.0f}" if self.done > 1 else ""
-        print(f"[{elapsed:.0f}{about} s] {what}", flush=True)
+        print(f"[{elapsed:.0f}{about} s] {what}", end=": ", flush=True)
         self.done += 1
+
+    def add(self, result):
+        print(result, flush=True)
 
 
 def precisions(label):
@@ -354,6 +357,7 @@ def measure(labels, cells, rounds, loops):
                 case.time_alone(timing, loops)
             timing.yielding = case.fraction_yielding()
             found[label, precision] = timing
+            progress.add(f"{timing.step():.1f} ns, {timing.ratio():.2f} times the neo-Hookean step")
     return found
 
 

@@ -103,5 +103,5 @@ def plot(found, most, path):
         axes.set_xlim(0, 1.15 * max(steps))
     axes.grid(axis="x", alpha=0.3)
     axes.set_axisbelow(True)
-    axes.legend(frameon=False, fontsize=8, loc="lower right")
+    figure.legend(frameon=False, fontsize=8, ncols=3, loc="outside upper center")
     figure.savefig(path, dpi=150)
