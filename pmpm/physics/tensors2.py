@@ -298,6 +298,11 @@ def into_range(t, low, high):
     return (min(max(t[0], low), high) - t[0], min(max(t[1], low), high) - t[1])
 
 
+def sum_of(t):
+    """The trace, of principal values."""
+    return t[0] + t[1]
+
+
 def tensor_part(state):
     """The tensor that a particle's state begins with."""
     return state[:4]
@@ -382,3 +387,22 @@ def eigen_solid(E):
 def spectral_solid(Q, t):
     """The solid tensor with the principal values t along the axes that `eigen_solid` found."""
     return spectral(Q, t) + (t[2],)
+
+
+def principal_symmetric(S):
+    """(what `add_along` needs besides, the principal values) of a symmetric S."""
+    return eigen_symmetric(S)
+
+
+def add_along(S, axes, added):
+    """S with `added` to the principal values that `principal_symmetric` found, along their axes."""
+    return add_symmetric(S, spectral(axes, added))
+
+
+def principal_solid(E):
+    """The same of a solid tensor; the third value lies along z."""
+    return eigen_solid(E)
+
+
+def add_along_solid(E, axes, added):
+    return add_solid(E, spectral_solid(axes, added))

@@ -3,6 +3,11 @@
 from pmpm.physics.words import EPS, HALLEY_STEPS, SWEEPS, TINY, any_of, sqrt, where
 
 DIM = 3.0
+HALF_ROOT_3 = 0.8660254037844386
+# Of `principal_symmetric`: y is within 3e-5 of ROOT[0] + ROOT[1] d + ... (fitted at Chebyshev's points), which two of Newton's
+# steps square to 2e-9 and 1e-17.
+ROOT = (0.70713656, 0.992425, -1.80247682, 3.05971149)
+NEWTON_STEPS = 2
 POLAR_LIMIT = 0.3  # of x^3, for the denominator of `polar`: 16/27 where all s are equal
 SMALLEST, LARGEST = 1e-2, 1e4  # of |F|^2, for `polar` without scaling
 
@@ -510,6 +515,11 @@ def into_range(t, low, high):
     )
 
 
+def sum_of(t):
+    """The trace, of principal values."""
+    return t[0] + t[1] + t[2]
+
+
 def tensor_part(state):
     """The tensor that a particle's state begins with."""
     return state[:9]
@@ -593,3 +603,64 @@ def eigen_solid(E):
 def spectral_solid(Q, t):
     """The solid tensor with the principal values t along the axes that `eigen_solid` found."""
     return spectral(Q, t)
+
+
+# ---- isotropic functions without eigenvectors ----
+
+
+def principal_symmetric(S):
+    """(what `add_along` needs besides, the principal values in falling order) of a symmetric S: a tenth of `eigen_symmetric`.
+
+    Of n = dev S / |dev S| the value farthest from zero, y, is a root of y^3 - y/2 - |det n|, simple and therefore exact to
+    round-off. The gap between the other two is sqrt(3) |S'| over the cubic's slope at y, with S' the part of dev n^2 that is
+    orthogonal to n: by Vandermonde's determinant 3 |S'|^2 is the discriminant, and nothing cancels where the two are equal.
+    """
+    mean = trace_symmetric(S) / 3.0
+    D = scale_plus_diagonal(1.0, S, -mean)
+    norm = norm_symmetric(D)
+    n = scale_plus_diagonal(1.0 / max(norm, TINY), D, 0.0)
+    square = product_commuting(n, n)
+    det_n = det_symmetric(n)
+    d = abs(det_n)
+    y = ROOT[0] + d * (ROOT[1] + d * (ROOT[2] + d * ROOT[3]))
+    for _ in range(NEWTON_STEPS):
+        y = y - ((y * y - 0.5) * y - d) / (3.0 * (y * y) - 0.5)
+    across = add_symmetric(scale_plus_diagonal(1.0, square, -1.0 / 3.0), scale_plus_diagonal(-3.0 * det_n, n, 0.0))
+    half_gap = HALF_ROOT_3 * norm_symmetric(across) / (3.0 * (y * y) - 0.5)
+    positive = det_n > 0.0
+    half = where(positive, -0.5, 0.5) * y
+    upper, lower = half + half_gap, half - half_gap
+    first, second, third = where(positive, y, upper), where(positive, upper, lower), where(positive, lower, -y)
+    values = (mean + norm * first, mean + norm * second, mean + norm * third)
+    return (norm, n, square, first, second, third), values
+
+
+def add_along(S, axes, added):
+    """S with `added` to the principal values that `principal_symmetric` found, along their axes.
+
+    It must keep the order of the values and bring none farther from another: then Newton's interpolation by divided
+    differences, which are bounded, is exact to round-off also where values are equal. What adds zero changes no bit.
+    """
+    norm, n, square, first, second, third = axes
+    between = max(min((added[0] - added[1]) / max(first - second, TINY), 0.0), -norm)
+    beyond = max(min((added[1] - added[2]) / max(second - third, TINY), 0.0), -norm)
+    c = (between - beyond) / max(first - third, TINY)
+    b = between + c * third
+    a = added[0] - between * first + c * (first * second)
+    P = scale_plus_diagonal(b, n, a)
+    return (
+        S[0] + (P[0] + c * square[0]),
+        S[1] + (P[1] + c * square[1]),
+        S[2] + (P[2] + c * square[2]),
+        S[3] + (P[3] + c * square[3]),
+        S[4] + (P[4] + c * square[4]),
+        S[5] + (P[5] + c * square[5]),
+    )
+
+
+def principal_solid(E):
+    return principal_symmetric(E)
+
+
+def add_along_solid(E, axes, added):
+    return add_along(E, axes, added)

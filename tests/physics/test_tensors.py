@@ -88,6 +88,60 @@ def test_eigenvalues_whose_squares_underflow_are_lost_only_in_absolute_size(dim)
     assert np.abs(np.sort(s, axis=1) - np.linalg.eigvalsh(S)).max() < 1e-19
 
 
+def cut(kind, dim, real):
+    """(principal values, the matrix with these cut to a middle range, both expected and found) by the array target."""
+    S = matrices(kind, dim, np.random.default_rng(5))
+    given = tuple(S[:, i, j].astype(real) for i, j in UPPER[dim])
+    target, words = targets.arrays(real), WORDS[dim]
+    with np.errstate(all="ignore"):
+        axes, s = target.compile(words.principal_symmetric)(given)
+        low, high = (np.quantile(s, q).astype(real) for q in (0.3, 0.6))
+        added = target.compile(words.into_range)(s, low, high)
+        result = target.compile(words.add_along)(given, axes, added)
+    rounded = np.stack([symmetric(row) for row in np.stack(given, -1).astype(float)])
+    values, Q = np.linalg.eigh(rounded)
+    expected = (Q * np.clip(values, low, high)[:, None, :]) @ Q.transpose(0, 2, 1)
+    found = np.stack([symmetric(row) for row in np.stack(result, -1).astype(float)])
+    return values, np.stack(s, -1).astype(float), expected, found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("real", REALS)
+@pytest.mark.parametrize("dim", DIMS)
+def test_principal_values_without_eigenvectors_are_those_of_numpy(dim, real, kind):
+    expected, s, _, _ = cut(kind, dim, real)
+    error = np.abs(np.sort(s, axis=1) - expected).max(axis=1)
+    assert (error <= 20.0 * np.finfo(real).eps * np.abs(expected).max(axis=1)).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("real", REALS)
+@pytest.mark.parametrize("dim", DIMS)
+def test_principal_values_are_cut_off_without_eigenvectors(dim, real, kind):
+    """20 eps of the largest, also where values are equal and their axes mean nothing."""
+    values, _, expected, found = cut(kind, dim, real)
+    error = np.abs(found - expected).max(axis=(1, 2))
+    assert (error <= 20.0 * np.finfo(real).eps * np.abs(values).max(axis=1)).all()
+
+
+@pytest.mark.parametrize("real", REALS)
+def test_principal_values_without_eigenvectors_fall_in_three_dimensions(real):
+    for kind in KINDS:
+        _, s, _, _ = cut(kind, 3, real)
+        assert (np.diff(s, axis=1) <= 0.0).all()
+
+
+@pytest.mark.parametrize("real", REALS)
+@pytest.mark.parametrize("dim", DIMS)
+def test_adding_nothing_along_the_axes_changes_no_bit(dim, real):
+    S = matrices("random", dim, np.random.default_rng(6))
+    given = tuple(S[:, i, j].astype(real) for i, j in UPPER[dim])
+    target, words = targets.arrays(real), WORDS[dim]
+    axes, s = target.compile(words.principal_symmetric)(given)
+    result = target.compile(words.add_along)(given, axes, tuple(real(0.0) * value for value in s))
+    np.testing.assert_array_equal(np.stack(result), np.stack(given))
+
+
 def exact_product(A, B):
     return [[sum((a * b for a, b in zip(row, column, strict=True)), Fraction(0)) for column in zip(*B, strict=True)]
             for row in A]  # fmt: skip

@@ -12,7 +12,7 @@ from pmpm.physics import hencky
 from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.fluid import STIFFNESS, bulk_modulus_of, stiffness_conflict
 from pmpm.physics.materials.keys import DENSITY, Key, StateField
-from pmpm.physics.words import TINY, exp, expm1, log, log1p, where
+from pmpm.physics.words import EPS, TINY, any_of, exp, expm1, log, log1p, where
 
 SOURCE = "Yue et al. (2015), ACM Trans. Graph. 34, 160"
 KEYS = (
@@ -27,7 +27,8 @@ STATE = (StateField("elastic_strain", "solid", "-", "elastic logarithmic strain;
 LOGARITHMIC = False  # gamma = 1
 LINEAR = True  # flow_index = 1
 THICKENING = False  # flow_index > 1
-NEWTON_STEPS = 8  # to round-off for every flow_index allowed
+ARRIVED = 0.01  # of eps, the square of a step that is the last
+NEWTON_STEPS = 8  # at most, to round-off for every flow_index allowed
 ROOT_TWO = 1.4142135623730951
 
 
@@ -81,7 +82,8 @@ def share_of_flow(excess, dt, time, n):
 
     With y the part that flows, y + k y^n = 1, k = time excess^(n - 1) / dt^n. With w = ln y and m = n where n < 1, else
     w = ln(k y^n) and m = 1/n, it is ln(e^w + k' e^(m w)) = 0: convex in w, with slopes from m to 1. Newton's method goes
-    there from above without overshooting.
+    there from above without overshooting. A particle whose last step was less than a tenth of the root of eps is done, since
+    convergence is quadratic.
     """
     if LINEAR:
         return time / (time + dt)
@@ -91,11 +93,15 @@ def share_of_flow(excess, dt, time, n):
         log_k = -log_k / n
         m = 1.0 / n
     w = min(-log_k / m, 0.0)
+    step = w - w + 1.0
     for _ in range(NEWTON_STEPS):
-        d = log_k + (m - 1.0) * w
-        smaller = exp(-abs(d))
-        share = where(d > 0.0, smaller, 1.0) / (1.0 + smaller)
-        w = w - (w + max(d, 0.0) + log1p(smaller)) / (share + m * (1.0 - share))
+        moving = step * step > ARRIVED * EPS
+        if any_of(moving):
+            d = log_k + (m - 1.0) * w
+            smaller = exp(-abs(d))
+            share = where(d > 0.0, smaller, 1.0) / (1.0 + smaller)
+            step = where(moving, (w + max(d, 0.0) + log1p(smaller)) / (share + m * (1.0 - share)), step)
+            w = where(moving, w - step, w)
     if THICKENING:
         return exp(w)
     return exp(log_k + m * w)
@@ -109,9 +115,12 @@ def advance(E, G, dt, params):
     change = la.trace_solid(D)
     D = la.scale_plus_diagonal_solid(1.0, D, -change / 3.0)
     shear = ROOT_TWO * la.norm_solid(D)
-    excess = max(shear - yield_strain, TINY)
-    left = (yield_strain + excess * share_of_flow(excess, dt, time, n)) / max(shear, TINY)
-    kept = where(shear > yield_strain, min(left, 1.0), 1.0)
+    flowing = shear > yield_strain
+    kept = 1.0 + (shear - shear)
+    if any_of(flowing):
+        excess = where(flowing, shear - yield_strain, 1.0)
+        left = (yield_strain + excess * share_of_flow(excess, dt, time, n)) / max(shear, TINY)
+        kept = where(flowing, min(left, 1.0), kept)
     return la.scale_plus_diagonal_solid(kept * hencky.kept_if_forward(G), D, (log_J + change) / 3.0)
 
 

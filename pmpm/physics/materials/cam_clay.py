@@ -22,7 +22,7 @@ import math
 from pmpm.physics import hencky
 from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import DENSITY, Key, StateField
-from pmpm.physics.words import TINY, any_of, exp, log, sqrt, where
+from pmpm.physics.words import EPS, TINY, any_of, exp, log, sqrt, where
 
 SOURCE = "Borja and Tamagnini (1998), Comput. Methods Appl. Mech. Engrg. 155, 73"
 KEYS = (
@@ -57,7 +57,8 @@ STATE = (
     StateField("v_c", "scalar", "-", "logarithmic volume gained in opening and not yet undone"),
 )
 ATTRACTION = False
-NEWTON_STEPS = 12  # to round-off: see tests/physics/test_cam_clay.py for the range tried
+ARRIVED = 0.01  # of eps, the square of a step that is the last
+NEWTON_STEPS = 12  # at most, to round-off: see tests/physics/test_cam_clay.py for the range tried
 ROOT_SIX = 2.449489742783178
 LOG_TWO = 0.6931471805599453
 MOST = 60.0  # logarithms of pressures over others are cut there, only to keep numbers finite
@@ -141,24 +142,29 @@ def returned(log_r, a, b, ratio, wet):
     """(ln of trial over final P / P_c, sin t / 2) of the return from a trial with ln(2 P / P_c) = log_r, `wet` above 0.
 
     a = 2 q / (M P_c) of the trial, b = 6 mu kappa (lambda - kappa) / (lambda M^2 P_c), ratio = kappa / lambda. Newton's method
-    from the trial's own u; 0 <= u <= 1.
+    from the trial's own u; 0 <= u <= 1. A particle whose last step was less than a tenth of the root of eps is done, since
+    convergence is quadratic.
     """
     near = exp(-min(abs(log_r), MOST))
     lowest = sqrt(max(where(wet, 2.0 * near - 1.0, near / (2.0 - near)), 0.0))
     sign = where(wet, 1.0, -1.0)
     u = lowest
+    step = sign
     for _ in range(NEWTON_STEPS):
-        square = u * u
-        w = 1.0 + square
-        way = log_r - log(2.0 * where(wet, 1.0, square) / w)
-        size = sign * way
-        c = exp(ratio * way)
-        other = where(wet, square, 1.0)
-        over = a * w - 2.0 * u * c
-        f = (1.0 - square) * over - 2.0 * b * u * w * size
-        turn = (1.0 - square) * (2.0 * u * a - 2.0 * c - 4.0 * c * ratio * sign * other / w)
-        slope = turn - 2.0 * u * over - 2.0 * b * (size * (w + 2.0 * square) + 2.0 * other)
-        u = min(max(u - f / slope, lowest), 1.0)
+        moving = step * step > ARRIVED * EPS
+        if any_of(moving):
+            square = u * u
+            w = 1.0 + square
+            way = log_r - log(2.0 * where(wet, 1.0, square) / w)
+            size = sign * way
+            c = exp(ratio * way)
+            other = where(wet, square, 1.0)
+            over = a * w - 2.0 * u * c
+            f = (1.0 - square) * over - 2.0 * b * u * w * size
+            turn = (1.0 - square) * (2.0 * u * a - 2.0 * c - 4.0 * c * ratio * sign * other / w)
+            slope = turn - 2.0 * u * over - 2.0 * b * (size * (w + 2.0 * square) + 2.0 * other)
+            moved = min(max(u - f / slope, lowest), 1.0)
+            step, u = where(moving, moved - u, step), where(moving, moved, u)
     square = u * u
     way = log_r - log(2.0 * where(wet, 1.0, square) / (1.0 + square))
     return way, u / (1.0 + square)

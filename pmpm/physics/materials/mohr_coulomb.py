@@ -175,7 +175,7 @@ def range_bound(E, s):
 
 
 def returned(e, s, cohesive, apex, params):
-    """(whether principal strains e are beyond the pyramid, what the return gives in the same order)."""
+    """(whether principal strains e are beyond the pyramid, what the return adds to them in the same order)."""
     stiffness, p = params[2], params[3]
     a, b, c = e
     high, low = max(max(a, b), c), min(min(a, b), c)
@@ -204,10 +204,11 @@ def returned(e, s, cohesive, apex, params):
     new_middle = where(on_plane, middle, where(ordered, edge_middle, tip))
     new_low = where(on_plane, plane_low, where(ordered, edge_low, tip))
     # Equal trial strains return to equal ones, so that it is no matter which of them passes for the middle one.
+    added_high, added_middle, added_low = new_high - high, new_middle - middle, new_low - low
     return f > 0.0, (
-        where(a == high, new_high, where(a == low, new_low, new_middle)),
-        where(b == high, new_high, where(b == low, new_low, new_middle)),
-        where(c == high, new_high, where(c == low, new_low, new_middle)),
+        where(a == high, added_high, where(a == low, added_low, added_middle)),
+        where(b == high, added_high, where(b == low, added_low, added_middle)),
+        where(c == high, added_high, where(c == low, added_low, added_middle)),
     )
 
 
@@ -236,9 +237,9 @@ def advance(state, G, dt, params):
     beyond = range_bound(trial, s) + s * (params[2] + 2.0 / 3.0) * trace > cohesive
     E = trial
     if any_of(beyond):
-        Q, e = la.eigen_solid(trial)
-        yields, after = returned(e, s, cohesive, apex, params)
-        E = la.where_solid(beyond & yields, la.spectral_solid(Q, after), trial)
+        axes, e = la.principal_solid(trial)
+        yields, added = returned(e, s, cohesive, apex, params)
+        E = la.where_solid(beyond & yields, la.add_along_solid(trial, axes, added), trial)
     if SOFTENING or DILATANCY:
         lost = trace - la.trace_solid(E)
     if SOFTENING:

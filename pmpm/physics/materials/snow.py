@@ -100,7 +100,7 @@ def log_hardening(J_P, params):
 def yielded(E, J_P, params):
     """(E, J_P) after a trial strain E: eigenvalues beyond the limits are cut off, which is what makes J_P.
 
-    Eigenvectors are computed only where a determinant tells that an eigenvalue is near or beyond a limit.
+    Eigenvalues are computed only where a determinant tells that one is near or beyond a limit.
     """
     low, high = params[2], params[3]
     from_low = la.scale_plus_diagonal(1.0, E, -SURELY * low)
@@ -108,10 +108,10 @@ def yielded(E, J_P, params):
     beyond = la.not_positive_definite(from_low) | la.not_positive_definite(from_high)
     E_after, J_P_after = E, J_P
     if any_of(beyond):
-        Q, e = la.eigen_symmetric(E)
-        added = la.spectral(Q, la.into_range(e, low, high))
-        E_after = la.where_symmetric(beyond, la.add_symmetric(E, added), E)
-        J_P_after = where(beyond, min(J_P * exp(-la.trace_symmetric(added)), LARGEST_J_P), J_P)
+        axes, e = la.principal_symmetric(E)
+        added = la.into_range(e, low, high)
+        E_after = la.where_symmetric(beyond, la.add_along(E, axes, added), E)
+        J_P_after = where(beyond, min(J_P * exp(-la.sum_of(added)), LARGEST_J_P), J_P)
     return E_after, J_P_after
 
 
