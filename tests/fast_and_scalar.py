@@ -160,7 +160,7 @@ def by_id(simulation):
 def distances(simulation, other):
     """{name: largest difference, in eps of what it is measured by}. Collective.
 
-    Positions are measured by a cell, v and C by the largest one of the law, state variables by 1: they are strains or near 1.
+    Positions are measured by a cell, v, C and divergences by the largest one of the law, state variables by 1: they are strains or near 1.
     """
     eps, geometry, found = float(np.finfo(simulation.real).eps), simulation.geometry, {}
     period = np.where(geometry.periodic, geometry.cells, 2**40)
@@ -170,7 +170,7 @@ def distances(simulation, other):
         apart = {"x": np.abs((nodes + period // 2) % period - period // 2 + part)}
         for name, rows in one.items():
             a, b = rows.astype(float), two[name].astype(float)
-            apart[name] = np.abs(a - b) / (np.abs(a).max() if name in ("v", "C") else 1.0)
+            apart[name] = np.abs(a - b) / (np.abs(a).max() if name in ("v", "C", "divergence") else 1.0)
         for name, difference in apart.items():
             found[name] = float(np.maximum(found.get(name, 0.0), difference.max() / eps))  # nan stays
     return found
