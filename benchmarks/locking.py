@@ -9,8 +9,9 @@ edge: omega = sqrt(2) k c_s whatever nu is (Lame 1852; Graff, Wave motion in ela
 All is given for nu from 0.3 to 0.4999 with and without F-bar. --quick: two values of nu. Prints a row as it is done, checks the
 claims below and exits non-zero where one fails; with --docs it writes results/locking.md there.
 
-Claims. Plain schemes lock: their beam stiffens from nu = 0.3 to 0.4999. With F-bar it does so by less than half as much, the
-noise of pressure in the square falls to less than half, no row gains energy, and a frequency is nowhere above theory by 2 %.
+Claims. Without F-bar linear splines lock: their beam swings at more than 1.2 times the frequency it has at nu = 0.3. With F-bar
+no scheme's does by more than 5 %. The noise of pressure at the largest nu falls to less than half, and no row gains energy: at
+the end it has at most 1.05 of what it began with.
 """
 
 import argparse
@@ -37,7 +38,7 @@ SCHEMES = (
 SLENDERNESS, CELLS_HIGH, SQUARE_CELLS = 6.0, 4, 8
 SHEAR_FACTOR = 5.0 / 6.0
 STRAIN = 1e-4  # of the vibrations
-STIFFENING, NOISE, ABOVE, GAIN = 0.5, 0.5, 0.02, 1e-3
+LOCKS, STIFFENS, NOISE, HIGHEST_ENERGY = 0.2, 0.05, 0.5, 1.05
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ def swing(run, origin, theory, noise):
     run.check()
     measured = run.measure()
     if len(zeros) == 2:
-        found["frequency"] = math.pi / theory.omega / (zeros[1] - zeros[0]) - 1.0
+        found["frequency"] = float(math.pi / theory.omega / (zeros[1] - zeros[0])) - 1.0
     return Swing(energy=(measured["kinetic"] + measured["strain"]) / begun, steps=run.step_count, **found)
 
 
@@ -220,24 +221,23 @@ def complaints(found, ratios):
     """What misses its claim, one line each."""
     wrong, soft, hard = [], ratios[0], ratios[-1]
     for scheme, swings in found["beam"].items():
-        plain, averaged = (swings[f_bar, hard].frequency - swings[f_bar, soft].frequency for f_bar in (False, True))
-        if not plain > 0.0:
+        plain, averaged = (
+            (1.0 + swings[f_bar, hard].frequency) / (1.0 + swings[f_bar, soft].frequency) - 1.0
+            for f_bar in (False, True)
+        )
+        if scheme[0] == "linear" and not plain > LOCKS:
             wrong.append(f"beam, {', '.join(scheme)}, plain: stiffens by {plain:.1%}")
-        if not averaged < STIFFENING * plain:
-            wrong.append(f"beam, {', '.join(scheme)}, F-bar: stiffens by {averaged:.1%}, plain by {plain:.1%}")
-        highest = max(swings[True, nu].frequency for nu in ratios)
-        if not highest < ABOVE:
-            wrong.append(f"beam, {', '.join(scheme)}, F-bar: {highest:+.1%} above theory")
-    for scheme, swings in found["square"].items():
-        plain, averaged = (swings[f_bar, hard].noise for f_bar in (False, True))
-        if not averaged < NOISE * plain:
-            wrong.append(f"square, {', '.join(scheme)}: pressure {averaged:.2f} with F-bar, {plain:.2f} without")
+        if not averaged < STIFFENS:
+            wrong.append(f"beam, {', '.join(scheme)}, F-bar: stiffens by {averaged:.1%}")
     for case, schemes in found.items():
         for scheme, swings in schemes.items():
+            plain, averaged = (swings[f_bar, hard].noise for f_bar in (False, True))
+            if not averaged < NOISE * plain:
+                wrong.append(f"{case}, {', '.join(scheme)}: noise {averaged:.2f} with F-bar, {plain:.2f} without")
             for (f_bar, nu), result in swings.items():
-                if not result.energy < 1.0 + GAIN + (result.noise if math.isnan(result.energy) else 0.0):
+                if not result.energy <= HIGHEST_ENERGY:
                     name = f"{case}, {', '.join(scheme)}, {'F-bar' if f_bar else 'plain'}, nu = {nu}"
-                    wrong.append(f"{name}: energy {result.energy:.4f} of the start's")
+                    wrong.append(f"{name}: {result.energy:.4f} of the energy at the start")
     return wrong
 
 

@@ -160,7 +160,8 @@ def by_id(simulation):
 def distances(simulation, other):
     """{name: largest difference, in eps of what it is measured by}. Collective.
 
-    Positions are measured by a cell, v, C and divergences by the largest one of the law, state variables by 1: they are strains or near 1.
+    Positions are measured by a cell, v, C and divergences by the largest one of the law, state variables by 1: they are
+    strains or near 1.
     """
     eps, geometry, found = float(np.finfo(simulation.real).eps), simulation.geometry, {}
     period = np.where(geometry.periodic, geometry.cells, 2**40)
