@@ -247,7 +247,7 @@ def build(needs, layouts, parameter_counts, kind):
     walls, images = {}, {}
     for name in sorted(set(needs.wall_types) & set(WALLS)):
         wall, image, two_sided = WALLS[name]
-        target = targets.scalar(real, **scene, wall=wall, image=image, TWO_SIDED=two_sided)
+        target = targets.scalar(real, **scene, wall=wall, image=image, TWO_SIDED=two_sided, BEYOND=needs.stencil.beyond)
         walls[name], images[name] = target.entry(loops.apply_wall), target.entry(loops.fill_beyond_wall)
     shared = {name: general.entry(getattr(loops, name)) for name in (*PER_SCENE, *PER_OPTION, *PER_CUT)}
     for_places = targets.scalar(real)

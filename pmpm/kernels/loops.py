@@ -41,6 +41,7 @@ CAUSE_POSITION, CAUSE_STATE, CAUSE_LEFT = 1, 2, 3  # why a particle stops the ru
 NOWHERE = -1
 EMPTY_BOX = (1 << 30, 0, 1 << 30, 0)
 wall, image, TWO_SIDED = boundary.wall_stick, boundary.image_reversed, True
+BEYOND = 1
 
 
 def no_force(x, X, t):
@@ -239,11 +240,11 @@ def put_vector(nodes, i, j, k, v):
 
 
 def apply_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, coefficient, velocity):
-    """One face, on momenta: nodes i0 .. i1 - 1, ... are those beyond it, one step (di, dj, dk) leads to the node on it.
+    """One face, on momenta: nodes i0 .. i1 - 1, ... are those just beyond it, one step (di, dj, dk) leads to the node on it.
 
-    The rules hold for what moves relative to the wall.
-    A wall that may be left mirrors only where material presses on it and the wall as a whole pushes; elsewhere the rule
-    acts on the nodes on and beyond it. A mirrored node beyond is left without mass.
+    A particle that has passed the wall by less than half a cell reaches BEYOND nodes beyond it. The rules hold for what moves
+    relative to the wall. A wall that may be left mirrors only where material presses on it and the wall as a whole pushes;
+    elsewhere the rule acts on the nodes on and beyond it. A mirrored node beyond is left without mass.
     """
     before = flush_denormals()
     n, u = load_normal(normal), load_normal(velocity)
@@ -252,27 +253,37 @@ def apply_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, coeffic
         box = boxes[i + di]
         for j in range(max(j0, box[0] - dj), min(j1, box[1] - dj)):
             for k in range(max(k0, box[2] - dk), min(k1, box[3] - dk)):
-                mass_on, mass_beyond = nodes[i + di, j + dj, k + dk, 3], nodes[i, j, k, 3]
+                mass_on = nodes[i + di, j + dj, k + dk, 3]
                 on = la.add_scaled_vector(momentum_at(nodes, i + di, j + dj, k + dk), -mass_on, u)
-                pressed = none
-                if mass_beyond > 0.0:
-                    past = la.add_scaled_vector(momentum_at(nodes, i, j, k), -mass_beyond, u)
-                    i2, j2, k2 = i + 2 * di, j + 2 * dj, k + 2 * dk
-                    mass_inner = nodes[i2, j2, k2, 3]
-                    inner = la.add_scaled_vector(momentum_at(nodes, i2, j2, k2), -mass_inner, u)
-                    impulse = boundary.mirror_impulse(past, mass_beyond, inner, mass_inner, n)
-                    normal_on = la.dot(on, n)
-                    if TWO_SIDED or (normal_on < 0.0 and normal_on + impulse <= 0.0):
-                        mirrored = la.add_scaled_vector(inner, 1.0, image(past, n))
-                        mass_inner = mass_inner + mass_beyond
-                        put_vector(nodes, i2, j2, k2, la.add_scaled_vector(mirrored, mass_inner, u))
-                        nodes[i2, j2, k2, 3] = mass_inner
-                        put_vector(nodes, i, j, k, la.scale_vector(none, past))
-                        nodes[i, j, k, 3] = none
-                        pressed = -impulse
-                    else:
-                        past = wall(past, n, coefficient, none)
-                        put_vector(nodes, i, j, k, la.add_scaled_vector(past, mass_beyond, u))
+                impulse = none
+                for far in range(BEYOND):
+                    ib, jb, kb = i - far * di, j - far * dj, k - far * dk
+                    i2, j2, k2 = i + (2 + far) * di, j + (2 + far) * dj, k + (2 + far) * dk
+                    mass_beyond, mass_inner = nodes[ib, jb, kb, 3], nodes[i2, j2, k2, 3]
+                    if mass_beyond > 0.0:
+                        past = la.add_scaled_vector(momentum_at(nodes, ib, jb, kb), -mass_beyond, u)
+                        inner = la.add_scaled_vector(momentum_at(nodes, i2, j2, k2), -mass_inner, u)
+                        impulse += boundary.mirror_impulse(past, mass_beyond, inner, mass_inner, n)
+                normal_on = la.dot(on, n)
+                holds = TWO_SIDED or (normal_on < 0.0 and normal_on + impulse <= 0.0)
+                pressed = -impulse if holds else none
+                for far in range(BEYOND):
+                    ib, jb, kb = i - far * di, j - far * dj, k - far * dk
+                    i2, j2, k2 = i + (2 + far) * di, j + (2 + far) * dj, k + (2 + far) * dk
+                    mass_beyond, mass_inner = nodes[ib, jb, kb, 3], nodes[i2, j2, k2, 3]
+                    if mass_beyond > 0.0:
+                        past = la.add_scaled_vector(momentum_at(nodes, ib, jb, kb), -mass_beyond, u)
+                        if holds:
+                            inner = la.add_scaled_vector(momentum_at(nodes, i2, j2, k2), -mass_inner, u)
+                            mirrored = la.add_scaled_vector(inner, 1.0, image(past, n))
+                            mass_inner = mass_inner + mass_beyond
+                            put_vector(nodes, i2, j2, k2, la.add_scaled_vector(mirrored, mass_inner, u))
+                            nodes[i2, j2, k2, 3] = mass_inner
+                            put_vector(nodes, ib, jb, kb, la.scale_vector(none, past))
+                            nodes[ib, jb, kb, 3] = none
+                        else:
+                            past = wall(past, n, coefficient, none)
+                            put_vector(nodes, ib, jb, kb, la.add_scaled_vector(past, mass_beyond, u))
                 on = wall(on, n, coefficient, pressed)
                 put_vector(nodes, i + di, j + dj, k + dk, la.add_scaled_vector(on, mass_on, u))
     restore_denormals(before)
@@ -281,11 +292,12 @@ def apply_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, coeffic
 def fill_beyond_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, velocity):
     """Nodes beyond one face that were mirrored move as the image of the inner ones."""
     n, u = load_normal(normal), load_normal(velocity)
-    for i in range(i0, i1):
-        box = boxes[i]
-        for j in range(max(j0, box[0]), min(j1, box[1])):
-            for k in range(max(k0, box[2]), min(k1, box[3])):
-                if nodes[i, j, k, 3] == 0.0:
-                    v = momentum_at(nodes, i + 2 * di, j + 2 * dj, k + 2 * dk)
-                    seen = image(la.add_scaled_vector(v, -1.0, u), n)
-                    put_vector(nodes, i, j, k, la.add_scaled_vector(seen, 1.0, u))
+    for far in range(BEYOND):
+        for i in range(i0 - far * di, i1 - far * di):
+            box = boxes[i]
+            for j in range(max(j0 - far * dj, box[0]), min(j1 - far * dj, box[1])):
+                for k in range(max(k0 - far * dk, box[2]), min(k1 - far * dk, box[3])):
+                    if nodes[i, j, k, 3] == 0.0:
+                        i2, j2, k2 = i + (2 + 2 * far) * di, j + (2 + 2 * far) * dj, k + (2 + 2 * far) * dk
+                        seen = image(la.add_scaled_vector(momentum_at(nodes, i2, j2, k2), -1.0, u), n)
+                        put_vector(nodes, i, j, k, la.add_scaled_vector(seen, 1.0, u))

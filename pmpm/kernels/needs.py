@@ -1,5 +1,6 @@
 """What a scene asks of the kernels, in plain names and constants; never a scene itself."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -34,6 +35,11 @@ class Stencil:
     @property
     def window(self):
         return self.reach_low + self.reach_high + 1
+
+    @property
+    def beyond(self):
+        """Nodes beyond a wall that a particle reaches which has passed it by less than half a cell."""
+        return self.low - math.floor(self.round - 0.5)
 
     @property
     def offsets(self):

@@ -99,7 +99,7 @@ def domain_limits(scene, geometry):
 @dataclass(frozen=True)
 class PatchWall:
     """One face in a rank's patch: box (i0, i1, j0, j1, k0, k1) of the nodes just beyond it, the step (di, dj, dk) from there
-    to the nodes on it, normal into the material, velocity at present. A stencil reaches one node beyond."""
+    to the nodes on it, normal into the material, velocity at present. Cubic stencils may reach another node beyond these."""
 
     type: str
     box: tuple[int, ...]
