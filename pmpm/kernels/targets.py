@@ -9,6 +9,7 @@ files; the hash repairs both, so that a second process finds the compiled kernel
 This file and parts.py are the ones that lean on numba's internals; pyproject.toml pins numba for them.
 """
 
+import dis
 import hashlib
 import math
 import os
@@ -74,6 +75,11 @@ def bound_copy(function, mark, real, names):
     return copy
 
 
+def globals_named_in(function):
+    """Names that a function loads from its module: not those of attributes, which may be called like the function itself."""
+    return {step.argval for step in dis.get_instructions(function) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+
+
 def means_word(owner, name, value):
     """Whether a word of the target may take the place of `name` in the module `owner`, where it stands for `value`.
 
@@ -118,7 +124,7 @@ class Target:
                 [self.label, self.sources, code.co_code.hex(), repr(code.co_names), repr(code.co_consts)]
                 + [repr(function.__defaults__)],
             )
-            for name in sorted(set(code.co_names)):
+            for name in sorted(globals_named_in(function)):
                 if name in self.words or name in function.__globals__:
                     own = function.__globals__.get(name)
                     names[name], mark = self.replace(function.__module__, name, own, set(code.co_names))

@@ -45,9 +45,7 @@ def digest(law: Law, dim: int) -> str:
     """Return a hash over the code and constants that a law reaches; it holds for one minor version of Python."""
     target = targets.plain(la=tensors_of(dim))
     known = sorted(own_law.bound(law).items())
-    marks = [
-        target.specialise(value, False)[1] if isinstance(value, FunctionType) else repr(value) for _, value in known
-    ]
+    marks = [target.specialise(value)[1] if isinstance(value, FunctionType) else repr(value) for _, value in known]
     return hashlib.sha256(f"{marks}{law.state}".encode()).hexdigest()[:12]
 
 

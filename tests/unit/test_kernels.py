@@ -25,6 +25,7 @@ import pytest
 import pmpm
 from pmpm.kernels import targets
 from pmpm.kernels.build import PER_PLACES, PER_SCENE, SORTING
+from pmpm.physics import hencky
 from pmpm.physics.materials import neo_hookean
 from pmpm.physics.words import ATANH_OVER_ROOT, EXPM1_OF_TWICE
 
@@ -400,6 +401,16 @@ def test_a_second_start_compiles_nothing_and_an_edit_only_what_uses_it(tmp_path)
         words_of_lanes.write("# edited\n")
     sixth = run(tmp_path, package, cache, "sixth")
     assert (sixth["kernels_compiled"], sixth["kernels_loaded"]) == (kernels, 0)
+
+
+def energy(E, mu, lam):
+    """Called like the function of the module that it uses."""
+    return hencky.energy(E, mu, lam)
+
+
+def test_a_function_may_use_one_of_a_module_that_is_called_like_itself():
+    found = targets.plain(la=law_examples.TENSORS[3]).compile(energy)((1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0, 1.0)
+    assert found == 1.5  # mu |E|^2 + lam / 2 (tr E)^2
 
 
 def test_a_function_that_closes_over_variables_is_refused():
