@@ -39,7 +39,7 @@ BITS_AT = 1_000  # steps after which the bits of two ranks are compared
 DX, RADIUS = 0.25, 1.0
 SPEED = 3.67  # of waves, m/s
 MATERIAL = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e4, "poisson_ratio": 0.3}
-PLACE, CELLS = [2.5, 2.0, 2.0], [48, 24, 16]
+PLACE, CELLS = [2.5, 2.0, 2.0], [48, 24, 24]
 FLIGHT = 0.008 * SPEED * np.array([1.0, 0.3, 0.2])
 GRID_MASS, MOMENTUM, ANGULAR = 1e-14, 1e-13, 1e-12
 HIGHEST_ENERGY = 1.05
@@ -230,7 +230,8 @@ def failures(row, found, two):
         wrong.append("momentum")
     if row.keeps_angular_momentum and not found["angular_step"] <= ANGULAR * ratio:
         wrong.append("angular_step")
-    if not found["highest"] <= HIGHEST_ENERGY or (row.transfer == "pic" and not found["gain"] <= PIC_GAIN):
+    gains = found["highest"] > HIGHEST_ENERGY or (row.transfer == "pic" and found["gain"] > PIC_GAIN)
+    if gains and "stopped" not in found:
         wrong.append("energy")
     if two and two.get(str(row)) != found.get("bits"):
         wrong.append("bits")
@@ -244,6 +245,9 @@ def cells_of(row, found, two):
     def mark(name):
         return " ✘" if name in wrong else " ✔"
 
+    energies = [f"{found['energy']:.4f}", f"{found['highest'] - 1.0:+.1%}" + mark("energy")]
+    if "stopped" in found:
+        energies = ["-", "-"]
     angular = f"{found['angular_step']:.0e}" + (mark("angular_step") if row.keeps_angular_momentum else "")
     bits_text = ("same" if "bits" not in wrong else "differ") + mark("bits") if two and "bits" in found else "not run"
     blend = "" if row.blend is None else f" {row.blend:g}"
@@ -252,7 +256,7 @@ def cells_of(row, found, two):
         f"step {found['steps']}" + mark("survival"),
         ("exact" if found["mass"] else "changed") + mark("mass"), f"{found['grid_mass']:.0e}" + mark("grid_mass"),
         f"{found['momentum']:.0e}" + mark("momentum"), angular, f"{found['angular']:.1e}",
-        f"{found['energy']:.4f}", f"{found['highest'] - 1.0:+.1%}" + mark("energy"), bits_text,
+        *energies, bits_text,
     ]  # fmt: skip
 
 
@@ -269,16 +273,22 @@ def table(results, two):
 
 
 STOPPED = """
-Runs that stopped. A linear spline has its full slope at the far end of its cell, where its weight and with it the mass of a
-node that holds nothing else go to zero: such a node may be thrown about in a step of any length. It is the method's, not a
-matter of the limit: quadratic and cubic slopes vanish with their weights.
+Runs that stopped. A linear spline has its full slope at the far end of its cell, where its weight goes to zero, and with it the
+mass of a node that holds nothing else: at a free edge the stable step goes to zero as well. The method's bound does not follow
+it there. With cfl = 0.4 APIC stops after 1.2 s, with 0.1 after 3.1 s; with 0.025 it comes through the first 6 s.
 
+"""
+DRIFTS = """
+Momentum of cubic splines. Their weights are made of 1/6 and 2/3, both rounded down in float64, up in float32: they sum to one
+less 7.9e-17, or one and 4e-8. What takes the whole of its velocity from the grid in each step (PIC, APIC, MLS) loses, or gains,
+that much of its momentum in each; FLIP does not. With quadratic splines the sum has no such bias.
 """
 
 
 def page(results, two, steps, verdict):
-    flown = next(iter(results.values()))["cells"]
-    crossed = [two[f"{row} crossings"] for row in results] if two else [0]
+    flown = max(found["cells"] for row, found in results.items() if row.dim == 2)
+    crossed = [two[f"{row} crossings"] for row in results if str(row) in two] or [0]
+    drifts = any(row.shape_function == "cubic" and "momentum" in failures(row, results[row], two) for row in results)
     stopped = [f"- {row}: {found['stopped']}" for row, found in results.items() if "stopped" in found]
     return f"""# What transfers conserve
 
@@ -298,7 +308,7 @@ larger as its eps is.
 {table(results, two)}
 
 {verdict}
-{STOPPED if stopped else ""}{chr(10).join(stopped)}
+{DRIFTS if drifts else ""}{STOPPED if stopped else ""}{chr(10).join(stopped)}
 """
 
 
@@ -318,7 +328,9 @@ def main():
     two = hashes_of_two_ranks()
     print(table(results, two))
     missed = [f"{row}: {', '.join(wrong)}" for row, found in results.items() if (wrong := failures(row, found, two))]
-    verdict = "All limits are met." if not missed else "Limits that fail: " + "; ".join(missed) + "."
+    verdict = (
+        "All limits are met." if not missed else "Limits that fail:\n\n" + "\n".join(f"- {line}" for line in missed)
+    )
     print(verdict)
     if given.docs:
         (given.docs / "results" / "conservation.md").write_text(page(results, two, steps, verdict), encoding="utf-8")
