@@ -19,7 +19,9 @@ from pmpm.scene.schema import Method, Scene
 from pmpm.simulation import Simulation
 
 STEPS = 50
-LINEAR_STEPS = 8  # of linear splines, whose free surfaces turn unstable: round-off grows tenfold every few steps from then on
+LINEAR_STEPS = (
+    8  # of linear splines, whose free surfaces turn unstable: round-off grows tenfold every few steps from then on
+)
 BOUND = 500.0  # eps; 53 measured, see docs/results/fast_and_scalar.md
 METHOD = ("shape_function", "transfer", "precision", "f_bar")
 CELL = 0.05
