@@ -98,7 +98,7 @@ def plot(found, most, path):
     axes.axvline(most * unit, color="tab:red", lw=1.2, label=f"{most} times neo-Hookean")
     axes.set_yticks(range(len(steps)), list(timings), fontsize=8)
     axes.invert_yaxis()
-    axes.set(xlabel="ns per particle-step, float32, one core; numbers: times neo-Hookean", xlim=(0, 1.15 * most * unit))
+    axes.set(xlabel="ns per particle-step, float32 (times neo-Hookean)", xlim=(0, 1.15 * most * unit))
     if max(steps) > most * unit:
         axes.set_xlim(0, 1.15 * max(steps))
     axes.grid(axis="x", alpha=0.3)
