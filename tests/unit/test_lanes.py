@@ -11,6 +11,7 @@ import law_examples
 import numba
 import numpy as np
 import pytest
+from llvm_text import arithmetic_in
 
 from pmpm.kernels import lanes, targets
 from pmpm.kernels.lane_loops import FIELD_TUPLES, put
@@ -631,3 +632,12 @@ def test_a_particle_gives_the_same_bits_in_a_block_of_its_own(example, real):
     for n in range(0, len(states), 11):
         alone = by_lanes(example, real, np.tile(states[n], (16, 1)), np.tile(gradients[n], (16, 1)))
         np.testing.assert_array_equal(alone, np.tile(before[n], (16, 1)))
+
+
+@pytest.mark.parametrize("example", law_examples.each_example(), ids=law_examples.identify)
+def test_a_law_in_float32_holds_no_double_arithmetic(example):
+    compiled = compiled_law(example, np.float32)
+    by_lanes(example, np.float32, *particles(example, np.float32))
+    text = "\n".join(compiled.inspect_llvm().values())
+    assert arithmetic_in(text, "double") == []
+    assert arithmetic_in(text, "float")  # the search looks at the right text

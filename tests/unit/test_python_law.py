@@ -301,7 +301,7 @@ BAD = [
     ("division by zero", bare("return la.isotropic(mu / (F[0] - 1.0))"), "must return finite numbers, not inf"),
     ("if", bare("return la.isotropic(mu if F[0] > 1.0 else 0.0)"), "must not use if, and, or"),
     ("and", bare("return la.isotropic(where(F[0] > 0.0 and F[3] > 0.0, mu, 0.0))"), "must not use if, and, or"),
-    ("sine", bare("return la.isotropic(mu * math.sin(F[1]))"), "calls a function that kernels do not know"),
+    ("tangent", bare("return la.isotropic(mu * math.tan(F[1]))"), "calls a function that kernels do not know"),
     ("three in max", bare("return la.isotropic(max(mu, F[0], F[3]))"), "two numbers at a time"),
 ]  # fmt: skip
 
