@@ -1,6 +1,7 @@
 """2 x 2 tensors (plane strain) as flat tuples, row by row; symmetric ones as (xx, xy, yy). Same words as tensors3."""
 
-from pmpm.physics.words import EPS, TINY, any_of, sqrt, where
+from pmpm.physics.rotations import givens, rotation_to_diagonal, turn_to_orthogonal
+from pmpm.physics.words import TINY, any_of, sqrt, where
 
 DIM = 2.0
 POLAR_LIMIT = 0.05  # of |F|^2, for (s[0] + s[1])^2
@@ -184,11 +185,7 @@ def congruence(G, H):
 
 def eigen_symmetric(S):
     """(Q, s) with S = Q diag(s) Q^T, Q a rotation. One Jacobi rotation is exact in two dimensions."""
-    difference, twice = S[2] - S[0], 2.0 * S[1]
-    root = sqrt(difference * difference + twice * twice) + TINY
-    t = twice / (difference + where(difference < 0.0, -root, root))
-    cosine = 1.0 / sqrt(1.0 + t * t)
-    sine = t * cosine
+    t, cosine, sine = rotation_to_diagonal(S[0], S[2], S[1])
     return (cosine, sine, -sine, cosine), (S[0] - t * S[1], S[2] + t * S[1])
 
 
@@ -226,31 +223,6 @@ def where_tensor(condition, A, B):
 def product_symmetric(A, B):
     """A B^T where the result is known to be symmetric."""
     return (A[0] * B[0] + A[1] * B[1], A[0] * B[2] + A[1] * B[3], A[2] * B[2] + A[3] * B[3])
-
-
-def givens(x, y):
-    """(cosine, sine) of the rotation that turns the vector (x, y) onto (r, 0), r >= 0: at any size, none for zero."""
-    size = max(abs(x), abs(y))
-    none = size == 0.0
-    x, y = where(none, 1.0, x / where(none, 1.0, size)), y / where(none, 1.0, size)
-    r = sqrt(x * x + y * y)
-    return x / r, y / r
-
-
-def turn_to_orthogonal(first, second, product):
-    """(cosine, sine, size) of the turn that makes two vectors u, v orthogonal, the longer one first: for u.u, v.v and u.v.
-
-    A turn of at most 45 degrees, with its tangent as size, or that one and an exchange, with size 1. What is orthogonal, or
-    equally long, to round-off is left as it is.
-    """
-    noise = 2.0 * EPS * (first + second)
-    difference, twice = first - second, 2.0 * product
-    twice = where(abs(twice) <= noise, 0.0, twice)
-    exchange = difference < -noise
-    t = twice / (abs(difference) + sqrt(difference * difference + twice * twice) + TINY)
-    cosine = 1.0 / sqrt(1.0 + t * t)
-    sine = t * cosine
-    return where(exchange, sine, cosine), where(exchange, cosine, sine), where(exchange, 1.0, abs(t))
 
 
 def svd(F):

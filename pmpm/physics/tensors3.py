@@ -1,5 +1,6 @@
 """3 x 3 tensors as flat tuples, row by row; symmetric ones as (xx, xy, xz, yy, yz, zz). Same words as tensors2."""
 
+from pmpm.physics.rotations import givens, rotation_to_diagonal, turn_to_orthogonal
 from pmpm.physics.words import EPS, HALLEY_STEPS, SWEEPS, TINY, any_of, sqrt, where
 
 DIM = 3.0
@@ -267,15 +268,6 @@ def congruence(G, H):
     )
 
 
-def rotation_to_diagonal(a, b, c):
-    """(tangent, cosine, sine) of the Jacobi rotation that removes the off-diagonal c between diagonal entries a and b."""
-    difference, twice = b - a, 2.0 * c
-    root = sqrt(difference * difference + twice * twice) + TINY
-    t = twice / (difference + where(difference < 0.0, -root, root))
-    cosine = 1.0 / sqrt(1.0 + t * t)
-    return t, cosine, t * cosine
-
-
 def rotate(c, s, u, v):
     """The pair of vectors u, v turned in their plane."""
     return (
@@ -385,31 +377,6 @@ def product_symmetric(A, B):
         A[3] * B[6] + A[4] * B[7] + A[5] * B[8],
         A[6] * B[6] + A[7] * B[7] + A[8] * B[8],
     )
-
-
-def givens(x, y):
-    """(cosine, sine) of the rotation that turns the vector (x, y) onto (r, 0), r >= 0: at any size, none for zero."""
-    size = max(abs(x), abs(y))
-    none = size == 0.0
-    x, y = where(none, 1.0, x / where(none, 1.0, size)), y / where(none, 1.0, size)
-    r = sqrt(x * x + y * y)
-    return x / r, y / r
-
-
-def turn_to_orthogonal(first, second, product):
-    """(cosine, sine, size) of the turn that makes two vectors u, v orthogonal, the longer one first: for u.u, v.v and u.v.
-
-    A turn of at most 45 degrees, with its tangent as size, or that one and an exchange, with size 1. What is orthogonal, or
-    equally long, to round-off is left as it is.
-    """
-    noise = 2.0 * EPS * (first + second)
-    difference, twice = first - second, 2.0 * product
-    twice = where(abs(twice) <= noise, 0.0, twice)
-    exchange = difference < -noise
-    t = twice / (abs(difference) + sqrt(difference * difference + twice * twice) + TINY)
-    cosine = 1.0 / sqrt(1.0 + t * t)
-    sine = t * cosine
-    return where(exchange, sine, cosine), where(exchange, cosine, sine), where(exchange, 1.0, abs(t))
 
 
 def orthogonalise(u, v, p, q):

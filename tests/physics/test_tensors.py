@@ -245,7 +245,6 @@ def test_both_dimensions_have_the_same_words():
         return {name for name, value in vars(la).items() if callable(value) and value.__module__ == la.__name__}
 
     parts_of_sweeps = {
-        "rotation_to_diagonal",
         "rotate",
         "jacobi_sweep",
         "orthogonalise",
