@@ -20,7 +20,7 @@ import launch  # noqa: E402
 
 from pmpm.parallel.comm import from_launcher  # noqa: E402
 
-COLUMNS = ("x", "v", "C", "F", "J", "hencky_strain", "v_c")
+COLUMNS = ("x", "v", "C", "divergence", "F", "J", "hencky_strain", "elastic_strain", "v_c")
 ROW = "{:66s} {:>5} {:>9} {:>8} {:>7}" + " {:>6}" * len(COLUMNS)
 LIMIT = 7200
 
