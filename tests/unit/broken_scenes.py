@@ -303,6 +303,18 @@ BROKEN = [
     ("corotated, friction", corotated("[[bodies]]", "friction_angle = 3.0\n[[bodies]]"), ["block.friction_angle"]),
     ("corotated, misspelt", solid("neo_hookean", "fixed_corotatd"), ['model = "fixed_corotatd"', "fixed_corotated?"]),
     ("steep friction", change(ANGLE, "friction_angle = 90.0"), ["sand.friction_angle = 90.0", ">= 0 and < 90 deg"]),
+    (
+        "soft rubber",
+        solid("youngs_modulus = 1e4", "youngs_modulus = -1e4"),
+        ["block.youngs_modulus = -10000.0", "> 0 Pa"],
+    ),
+    ("incompressible rubber", solid("ratio = 0.3", "ratio = 0.5"), ["materials.block.poisson_ratio = 0.5", "< 0.5"]),
+    (
+        "rubber without stiffness",
+        solid("youngs_modulus = 1e4\n", ""),
+        ["materials.block.youngs_modulus is missing", "Pa"],
+    ),
+    ("rubber that yields", solid("ratio = 0.3", "ratio = 0.3\nyield_stress = 1.0"), ["materials.block.yield_stress"]),
     ("friction fit", change(ANGLE, ANGLE + '\nfriction_fit = "plane"'), ['friction_fit = "plane"', "plane_strain?"]),
     ("flag as a number", change(ANGLE, ANGLE + "\nvolume_correction = 1"), ["volume_correction = 1", "true or false"]),
     ("negative cohesion", change(ANGLE, ANGLE + "\ncohesion = -5.0"), ["materials.sand.cohesion = -5.0", ">= 0 Pa"]),
