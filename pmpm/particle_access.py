@@ -8,8 +8,6 @@ from pmpm import readout
 class Particles:
     """This rank's particles as arrays: reading gives a copy, assigning writes back. Rows may change order at any step."""
 
-    READ_ONLY = ("id", "material", "mass", "volume0", "volume", "J")
-
     def __init__(self, simulation):
         object.__setattr__(self, "simulation", simulation)
 
@@ -27,7 +25,7 @@ class Particles:
     def __setattr__(self, name, values):
         """Write (n, ...) values back. Collective: every rank assigns rows of its own; `x` regroups all particles."""
         simulation = self.simulation
-        if name not in simulation_fields(simulation) or (name in self.READ_ONLY and not writable(simulation, name)):
+        if not writable(simulation, name):
             raise AttributeError(f"particles.{name} cannot be assigned")
         values = np.asarray(values).reshape(simulation.rows(), -1)
         if name == "x":

@@ -83,14 +83,15 @@ ALL = every_pair.full_product(FACTORS, allowed) + [
 
 def arrangement(row):
     """Cells and periodic axes of a row: in turn, so that the few kinds of kernels in PAIRS meet all of them."""
-    kinds = [kernels_of(other) for other in PAIRS + SINGLE + ALL if other["dim"] == row["dim"]]
     choices = ARRANGEMENTS[row["dim"]]
-    return choices[list(dict.fromkeys(kinds)).index(kernels_of(row)) % len(choices)]
+    rows = [other for other in PAIRS + SINGLE + ALL if other["dim"] == row["dim"]]
+    kinds = list(dict.fromkeys(map(kernels_of, rows)))
+    return choices[kinds.index(kernels_of(row)) % len(choices)]
 
 
 def kernels_of(row):
     """All values but the material, so that laws together have the kernels that they have alone."""
-    return tuple(value for factor, value in row.items() if factor != "material")
+    return tuple(row[factor] for factor in FACTORS if factor != "material")
 
 
 def label(row):

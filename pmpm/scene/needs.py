@@ -59,7 +59,10 @@ def check_axes(geometry):
 
 
 def law_table(scene, law):
-    """(bodies, 3 + parameters) float64: mass, volume0, density and the law's parameters of each body of this law."""
+    """(bodies, 3 + parameters) float64: mass, volume0, density and the law's parameters of each body of this law.
+
+    Raises SceneError where they are beyond the range of the scene's precision.
+    """
     dim = scene.dim
     rows: list[list[float] | None] = []
     volume = scene.domain.cell_size**dim
@@ -72,7 +75,14 @@ def law_table(scene, law):
         else:
             rows.append(None)
     width = max(len(row) for row in rows if row is not None)
-    return np.array([row if row is not None else [0.0] * width for row in rows])
+    table = np.array([row if row is not None else [0.0] * width for row in rows])
+    with np.errstate(over="ignore"):
+        fits = np.isfinite(table.astype(scene.method.precision)).all(axis=1)
+    if not fits.all():
+        name = scene.bodies[int(np.argmin(fits))].material
+        text = f"mass, volume or a modulus of a particle is beyond the range of {scene.method.precision}"
+        raise SceneError(f"scene: materials.{name}: {text}")
+    return table
 
 
 def domain_limits(scene, geometry):

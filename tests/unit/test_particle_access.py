@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pmpm
+from pmpm.scene.errors import SceneError
 
 
 @pytest.fixture
@@ -51,9 +52,17 @@ def test_positions_outside_the_domain_are_refused(simulation):
         simulation.particles.x = simulation.particles.x - 10.0
 
 
-def test_what_cannot_be_assigned_says_so(simulation):
-    with pytest.raises(AttributeError, match="mass cannot be assigned"):
-        simulation.particles.mass = 1.0
+@pytest.mark.parametrize("name", ["mass", "volume0", "id", "J", "density", "stress", "no_such_field"])
+def test_what_cannot_be_assigned_says_so(simulation, name):
+    with pytest.raises(AttributeError, match=f"{name} cannot be assigned"):
+        setattr(simulation.particles, name, 1.0)
+
+
+def test_a_modulus_beyond_the_precision_of_the_scene_is_refused(simulation):
+    stiff = simulation.scene.model_dump() | {"method": {"precision": "float32"}}
+    stiff["materials"]["rubber"]["youngs_modulus"] = 1e40
+    with pytest.raises(SceneError, match="materials.rubber: .* beyond the range of float32"):
+        pmpm.Simulation(pmpm.Scene(**stiff))
 
 
 def test_an_unknown_name_lists_the_known_ones(simulation):
