@@ -73,7 +73,7 @@ class LowerPart(LoweringPass):
 
     def run_pass(self, state):
         context, flags = state.targetctx, state.flags
-        state.library = library = PartLibrary(context.codegen(), state.func_id.func_qualname)
+        library = state["library"] = PartLibrary(context.codegen(), state.func_id.func_qualname)
         description = funcdesc.PythonFunctionDescriptor.from_specialized_function(
             state.func_ir,
             state.typemap,
@@ -108,8 +108,8 @@ class LowerEntry(NativeLowering):
     _name = "lower_entry"
 
     def run_pass(self, state):
-        state.library = EntryLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.library.enable_object_caching()
+        library = state["library"] = EntryLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        library.enable_object_caching()
         return super().run_pass(state)
 
 

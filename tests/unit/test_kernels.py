@@ -310,7 +310,8 @@ def test_what_a_kernel_calls_is_compiled_once_in_a_process_and_to_no_machine_cod
     assert part is second.py_func.__globals__["twice"]
     assert len(part.overloads) == 1
     (compiled,) = part.overloads.values()
-    assert compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name) == 0
+    code = compiled._asdict()["library"]
+    assert code.get_pointer_to_function(compiled.fndesc.llvm_func_name) == 0
     with pytest.raises(TypeError, match="twice is part of a kernel"):
         part(5.0)
 
