@@ -30,6 +30,7 @@ import kernels_page
 import numpy as np
 from contest import Child, ContestantError
 from kernels_page import Goal
+from stages import Progress
 from workloads import LAWS, Workload
 
 ROUNDS = 6
@@ -134,19 +135,6 @@ class Measured:
             return None
         rounds = [a / b for a, b in zip(*(timing.costs() for timing in pair), strict=True)]
         return pair[0].cost() / pair[1].cost(), rounds
-
-
-class Progress:
-    """Says what is being done, after how long, and how long all of it may take."""
-
-    def __init__(self, stages):
-        self.stages, self.done, self.began = stages, 0, time.perf_counter()
-
-    def tell(self, what):
-        elapsed = time.perf_counter() - self.began
-        about = f" of about {elapsed * self.stages / self.done:.0f}" if self.done > 1 else ""
-        print(f"[{elapsed:.0f}{about} s] {what}", flush=True)
-        self.done += 1
 
 
 class Contest:

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import laws_page
 import numpy as np
+from stages import Progress
 
 import pmpm
 from pmpm.kernels import targets
@@ -318,22 +319,6 @@ def in_blocks(rows, real):
     return np.ascontiguousarray(rows.reshape(len(rows), -1, 16).swapaxes(0, 1), real).reshape(-1)
 
 
-class Progress:
-    """Says what is being done, after how long, and how long all of it may take."""
-
-    def __init__(self, stages):
-        self.stages, self.done, self.began = stages, 0, time.perf_counter()
-
-    def tell(self, what):
-        elapsed = time.perf_counter() - self.began
-        about = f" of about {elapsed * self.stages / self.done:.0f}" if self.done > 1 else ""
-        print(f"[{elapsed:.0f}{about} s] {what}", end=": ", flush=True)
-        self.done += 1
-
-    def add(self, result):
-        print(result, flush=True)
-
-
 def precisions(label):
     """A switch of a law in float32 alone: compiling takes most of the time of this benchmark."""
     return PRECISIONS[:1] if ", " in label else PRECISIONS
@@ -342,7 +327,7 @@ def precisions(label):
 def measure(labels, cells, rounds, loops):
     """{(label, precision): Timing}."""
     chosen = {precision: [label for label in labels if precision in precisions(label)] for precision in PRECISIONS}
-    found, progress = {}, Progress(sum(map(len, chosen.values())))
+    found, progress = {}, Progress(sum(map(len, chosen.values())), end=": ")
     for precision in PRECISIONS:
         reference = Case(REFERENCE, precision, cells)
         for label in chosen[precision]:
@@ -357,7 +342,7 @@ def measure(labels, cells, rounds, loops):
                 case.time_alone(timing, loops)
             timing.yielding = case.fraction_yielding()
             found[label, precision] = timing
-            progress.add(f"{timing.step():.1f} ns, {timing.ratio():.2f} times the neo-Hookean step")
+            print(f"{timing.step():.1f} ns, {timing.ratio():.2f} times the neo-Hookean step", flush=True)
     return found
 
 

@@ -150,10 +150,10 @@ def first_states(simulation, law, number, seeds):
     whole = start.ArrayLaw(simulation.scene.materials[body.material], simulation.dim)
     if body.deformation is not None:
         return in_layers(simulation, seeds, partial(start.deformed_states, whole, body.deformation))
-    axis, up = geostatic.vertical(simulation.gravity)
+    axis, up = geostatic.vertical(simulation.drive.gravity)
     depth = (body.stress.depth_from - reference_positions(simulation, seeds)[:, axis]) * up
     density = simulation.tables[law][number][DENSITY]
-    return geostatic.states(whole, body.stress, density, simulation.gravity, depth)
+    return geostatic.states(whole, body.stress, density, simulation.drive.gravity, depth)
 
 
 def state_at_rest(simulation, law, number):
@@ -165,8 +165,8 @@ def state_at_rest(simulation, law, number):
 
 def hydrostatic_state(simulation, law, number, seeds):
     """(n, state) of a fluid at rest under gravity beneath the top of its body."""
-    strength = float(np.linalg.norm(simulation.gravity))
-    up = -simulation.gravity / strength
+    strength = float(np.linalg.norm(simulation.drive.gravity))
+    up = -simulation.drive.gravity / strength
     low, high = simulation.scene.bodies[number].shape.bounds()
     top = float(np.where(up > 0, high, low) @ up)
     depth = top - (seeds.node + seeds.offset) * simulation.geometry.cell_size @ up

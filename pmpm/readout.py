@@ -69,7 +69,7 @@ def measure(simulation):
     top, layers = 0.0, simulation.geometry.layers
     for derived in simulation.derived(np.float64):
         layer = derived.population.per_particle(derived.population.block_layer)
-        for name, values in derived.totals(simulation.gravity).items():
+        for name, values in derived.totals(simulation.drive.gravity).items():
             added = np.bincount(layer, weights=values, minlength=layers)
             per_layer[name] = per_layer.get(name, 0.0) + added
         top = max(top, float(derived.speed().max(initial=0.0)))

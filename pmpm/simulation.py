@@ -53,7 +53,6 @@ class Simulation:
         self.layouts = [Layout.of(law, self.dim, self.needs.carried(law)) for law in self.needs.laws]
         self.tables = [law_table(scene, law) for law in self.needs.laws]
         self.kernel_tables = [table.astype(self.real) for table in self.tables]
-        self.gravity = np.array(scene.domain.gravity)
         self.drive = Drive(scene, self.real)
         self.blend = self.real(scene.method.flip_blend or 0.0)
         self.dx, self.inv_dx = self.real(scene.domain.cell_size), self.real(1.0 / scene.domain.cell_size)

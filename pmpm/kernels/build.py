@@ -30,9 +30,11 @@ VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
 
 @dataclass(frozen=True)
 class Kernels:
-    """Entry kernels: p2g and g2p per law, p2g without impulses for schemes that blend velocities, p2g of
-    the divergence and what measures it for F-bar, `shared` by name, walls and
-    images by wall type; and what the lanes work in."""
+    """Entry kernels, and what the lanes work in.
+
+    Per law p2g and g2p, p2g without impulses for schemes that blend velocities, p2g of the divergence and what measures it for
+    F-bar; `shared` by name; walls and images by wall type.
+    """
 
     p2g: tuple[Any, ...]
     g2p: tuple[Any, ...]

@@ -264,16 +264,16 @@ def stress(law: Law, dim: int, numbers: tuple[float, ...], F: np.ndarray) -> tup
     if not isinstance(tau, tuple) or len(tau) not in ((3, 4) if dim == 2 else (6,)):
         what = f"a tuple of {len(tau)}" if isinstance(tau, tuple) else f"a {type(tau).__name__}"
         raise Unfit(f"must return {wanted} in {dim}-D, not {what}")
-    check_reals(tau, F)
+    check_reals(tau, at(F))
     return tau
 
 
-def check_reals(values: tuple[Any, ...], F: np.ndarray) -> None:
+def check_reals(values: tuple[Any, ...], place: str) -> None:
     for value in values:
         if not isinstance(value, float):
-            raise Unfit(f"must return reals such as 0.0, not {value}, {at(F)}")
+            raise Unfit(f"must return reals such as 0.0, not {value}, {place}")
         if not math.isfinite(value):
-            raise Unfit(f"must return finite numbers, not {value}, {at(F)}")
+            raise Unfit(f"must return finite numbers, not {value}, {place}")
 
 
 def plain_call(law: Law, kind: str, dim: int) -> Any:
@@ -299,7 +299,7 @@ def check_call(law: Law, kind: str, dim: int, numbers: tuple[float, ...]) -> Non
             raise Unfit(f"{name} fails in {dim}-D {at(F)}: {type(error).__name__}: {error}") from None
         try:
             flat = flat_result(law, kind, dim, found)
-            check_reals(flat if kind != "valid" else (), F)
+            check_reals(flat if kind != "valid" else (), at(F))
         except Unfit as complaint:
             raise Unfit(f"{name} {complaint}") from None
         if kind == "valid" and not found:
@@ -344,14 +344,7 @@ def check_acceleration(function: FunctionType, dim: int, middle: np.ndarray) -> 
     """Raise Unfit unless b(x, X, t) gives `dim` finite reals (m/s2) around `middle`, to one particle and to many alike."""
     places = middle + np.array([[0.0], [0.01], [-0.02]]) * middle
     one_by_one = [acceleration(function, dim, tuple(map(float, x))) for x in places]
-    x, t = tuple(column.copy().view(Watched) for column in places.T), 0.0
-    try:
-        with np.errstate(all="ignore"):
-            found = targets.arrays(np.float64, la=tensors_of(dim)).compile(function)(x, x, t)
-    except Unfit:
-        raise
-    except Exception as error:
-        raise Unfit(f"fails for many particles at once: {type(error).__name__}: {error}") from None
+    found = of_many(function, dim, (watched(places.T), watched(places.T), 0.0))
     together = np.stack([np.broadcast_to(np.asarray(entry), len(places)) for entry in found], axis=-1)
     if not np.allclose(one_by_one, together, rtol=1e-9, atol=1e-9 * np.abs(one_by_one).max()):
         raise Unfit("gives other accelerations to many particles at once than to one of them")
@@ -367,9 +360,7 @@ def acceleration(function: FunctionType, dim: int, x: tuple[float, ...]) -> tupl
         raise Unfit(f"fails in {dim}-D {place}: {type(error).__name__}: {error}") from None
     if not isinstance(found, tuple) or len(found) != dim:
         raise Unfit(f"must return a tuple of {dim} accelerations (m/s2)")
-    for value in found:
-        if not isinstance(value, float) or not math.isfinite(value):
-            raise Unfit(f"must return finite reals such as 0.0, not {value}, {place}")
+    check_reals(found, place)
     return found
 
 
@@ -381,10 +372,14 @@ def many(law: Law, kind: str, dim: int, numbers: tuple[float, ...], tried: np.nd
     """What a function returns to several particles at once. Raises Unfit where that fails."""
     state = watched(np.array([state_at(law, F) for F in tried]).T)
     params = watched(np.full((1 + len(numbers), len(tried)), [[0.0], *([number] for number in numbers)]))
-    given = arguments(kind, state, None if G is None else watched(G.T), params)
+    return of_many(own_law.raw(law, kind), dim, arguments(kind, state, None if G is None else watched(G.T), params))
+
+
+def of_many(function: FunctionType, dim: int, given: tuple[Any, ...]) -> Any:
+    """What a function makes of arrays of numbers. Raises Unfit where it fails."""
     try:
         with np.errstate(all="ignore"):
-            return targets.arrays(np.float64, la=tensors_of(dim)).compile(own_law.raw(law, kind))(*given)
+            return targets.arrays(np.float64, la=tensors_of(dim)).compile(function)(*given)
     except Unfit:
         raise
     except Exception as error:

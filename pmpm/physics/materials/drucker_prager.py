@@ -26,15 +26,13 @@ import math
 
 from pmpm.physics import hencky
 from pmpm.physics import tensors2 as la
-from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, Key, StateField, lame
+from pmpm.physics.materials.keys import DILATANCY_ANGLE, ELASTIC_KEYS, FRICTION_ANGLE, Key, StateField, lame
 from pmpm.physics.words import NAN, TINY, expm1, where
 
 SOURCE = "Klar et al. (2016), ACM Trans. Graph. 35, 103; Tampubolon et al. (2017), 36, 105; de Souza Neto et al. (2008)"
 KEYS = (
-    DENSITY,
-    YOUNGS_MODULUS,
-    POISSON_RATIO,
-    Key("friction_angle", "deg", "angle of internal friction", at_least=0.0, below=90.0),
+    *ELASTIC_KEYS,
+    FRICTION_ANGLE,
     Key(
         "friction_fit",
         "-",
@@ -43,14 +41,7 @@ KEYS = (
         choices=("triaxial", "plane_strain"),
     ),
     Key("cohesion", "Pa", "Mohr and Coulomb's shear strength without pressure", default=0.0, at_least=0.0),
-    Key(
-        "dilatancy_angle",
-        "deg",
-        "angle of plastic expansion, at most the friction angle",
-        default=0.0,
-        at_least=0.0,
-        below=90.0,
-    ),
+    DILATANCY_ANGLE,
     Key("volume_correction", "-", "remember expansion at the tip and undo it before pressure returns", default=True),
 )
 STATE = (

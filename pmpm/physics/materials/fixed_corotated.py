@@ -11,33 +11,14 @@ Source: Stomakhin, Howes, Schroeder, Teran, Energetically consistent invertible 
 """
 
 from pmpm.physics import tensors2 as la
-from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, StateField, lame
+from pmpm.physics.materials import neo_hookean
 
 SOURCE = "Stomakhin et al. (2012), Energetically consistent invertible elasticity, SCA"
-KEYS = (DENSITY, YOUNGS_MODULUS, POISSON_RATIO)
-STATE = (StateField("F", "tensor", "-", "deformation gradient", 1.0),)
+KEYS, STATE = neo_hookean.KEYS, neo_hookean.STATE
 LARGEST = 1e12  # of |F|^2: no solid is stretched a millionfold
-
-
-def conflicts(keys):
-    return None
-
-
-def choices(keys):
-    return {}
-
-
-def state_fields(keys):
-    return STATE
-
-
-def parameters(keys, dim):
-    """(mu, lam) in Pa."""
-    return lame(keys["youngs_modulus"], keys["poisson_ratio"])
-
-
-def state_at(F, params):
-    return F
+conflicts, choices, parameters = neo_hookean.conflicts, neo_hookean.choices, neo_hookean.parameters
+state_fields, state_at = neo_hookean.state_fields, neo_hookean.state_at
+advance, volume_ratio = neo_hookean.advance, neo_hookean.volume_ratio
 
 
 def strain(F):
@@ -56,17 +37,9 @@ def out_of_plane_stress(F, params):
     return lam * (J - 1.0) * J
 
 
-def advance(F, G, dt, params):
-    return la.add(F, la.matmul(G, F))
-
-
 def valid(F):
     """False for nan."""
     return la.norm_squared(F) <= LARGEST
-
-
-def volume_ratio(F):
-    return la.det(F)
 
 
 def wave_speed_squared(F, params, density):

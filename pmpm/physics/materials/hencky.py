@@ -8,29 +8,17 @@ Source: Bonet, Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, 
 
 from pmpm.physics import hencky
 from pmpm.physics import tensors2 as la
-from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, StateField, lame
+from pmpm.physics.materials.keys import ELASTIC_KEYS, StateField, lame_parameters, no_choices, no_conflicts
 from pmpm.physics.words import expm1
 
 SOURCE = "Bonet and Wood (2008), section 6.6"
-KEYS = (DENSITY, YOUNGS_MODULUS, POISSON_RATIO)
+KEYS = ELASTIC_KEYS
 STATE = (StateField("hencky_strain", "symmetric", "-", "elastic logarithmic strain, 1/2 ln b"),)
-
-
-def conflicts(keys):
-    return None
-
-
-def choices(keys):
-    return {}
+conflicts, choices, parameters = no_conflicts, no_choices, lame_parameters
 
 
 def state_fields(keys):
     return STATE
-
-
-def parameters(keys, dim):
-    """(mu, lam) in Pa."""
-    return lame(keys["youngs_modulus"], keys["poisson_ratio"])
 
 
 def state_at(F, params):

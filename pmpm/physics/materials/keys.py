@@ -41,6 +41,33 @@ DENSITY = Key("density", "kg/m3", "mass per volume of the undeformed material", 
 YOUNGS_MODULUS = Key("youngs_modulus", "Pa", "stiffness in uniaxial stress", above=0.0)
 POISSON_RATIO = Key("poisson_ratio", "-", "lateral contraction per axial extension", above=-1.0, below=0.5)
 
+ELASTIC_KEYS = (DENSITY, YOUNGS_MODULUS, POISSON_RATIO)
+FRICTION_ANGLE = Key("friction_angle", "deg", "angle of internal friction", at_least=0.0, below=90.0)
+DILATANCY_ANGLE = Key(
+    "dilatancy_angle",
+    "deg",
+    "angle of plastic expansion, at most the friction angle",
+    default=0.0,
+    at_least=0.0,
+    below=90.0,
+)
+
+
+# What a law answers that needs nothing to be said: it takes these for its own functions.
+
+
+def no_conflicts(keys):
+    return None
+
+
+def no_choices(keys):
+    return {}
+
+
+def lame_parameters(keys, dim):
+    """(mu, lam) in Pa."""
+    return lame(keys["youngs_modulus"], keys["poisson_ratio"])
+
 
 def lame(youngs_modulus, poisson_ratio):
     """(mu, lam) in Pa: the Lame parameters of an isotropic solid."""

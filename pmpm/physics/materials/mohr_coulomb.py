@@ -22,26 +22,15 @@ import math
 
 from pmpm.physics import hencky
 from pmpm.physics import tensors2 as la
-from pmpm.physics.hencky import energy as hencky_energy
-from pmpm.physics.hencky import out_of_plane_stress as hencky_out_of_plane_stress
-from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, Key, StateField, lame
+from pmpm.physics.materials.keys import DILATANCY_ANGLE, ELASTIC_KEYS, FRICTION_ANGLE, Key, StateField, lame
 from pmpm.physics.words import TINY, any_of, expm1, sqrt, where
 
 SOURCE = "de Souza Neto, Peric, Owen (2008), section 8.2"
 KEYS = (
-    DENSITY,
-    YOUNGS_MODULUS,
-    POISSON_RATIO,
+    *ELASTIC_KEYS,
     Key("cohesion", "Pa", "shear strength without pressure", at_least=0.0),
-    Key("friction_angle", "deg", "angle of internal friction", at_least=0.0, below=90.0),
-    Key(
-        "dilatancy_angle",
-        "deg",
-        "angle of plastic expansion, at most the friction angle",
-        default=0.0,
-        at_least=0.0,
-        below=90.0,
-    ),
+    FRICTION_ANGLE,
+    DILATANCY_ANGLE,
     Key("residual_cohesion", "Pa", "cohesion once softened; default: no softening of it", optional=True, at_least=0.0),
     Key(
         "residual_friction_angle",
@@ -226,7 +215,7 @@ def kirchhoff_stress(state, params):
 
 
 def out_of_plane_stress(state, params):
-    return hencky_out_of_plane_stress(la.solid_part(state), params[0], params[1])
+    return hencky.out_of_plane_stress(la.solid_part(state), params[0], params[1])
 
 
 def advance(state, G, dt, params):
@@ -276,4 +265,4 @@ def wave_speed_squared(state, params, density):
 
 
 def energy(state, params):
-    return hencky_energy(la.solid_part(state), params[0], params[1])
+    return hencky.energy(la.solid_part(state), params[0], params[1])

@@ -14,16 +14,12 @@ import math
 
 from pmpm.physics import hencky
 from pmpm.physics import tensors2 as la
-from pmpm.physics.hencky import energy as hencky_energy
-from pmpm.physics.hencky import out_of_plane_stress as hencky_out_of_plane_stress
-from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, Key, StateField, lame
+from pmpm.physics.materials.keys import ELASTIC_KEYS, Key, StateField, lame, no_choices
 from pmpm.physics.words import TINY, exp, sqrt, where
 
 SOURCE = "Jop, Forterre and Pouliquen (2006), Nature 441, 727; Dunatunga and Kamrin (2015), J. Fluid Mech. 779, 483"
 KEYS = (
-    DENSITY,
-    YOUNGS_MODULUS,
-    POISSON_RATIO,
+    *ELASTIC_KEYS,
     Key("static_friction", "-", "mu_s, ratio of shear stress to pressure at rest", optional=True, above=0.0),
     Key(
         "friction_angle",
@@ -43,6 +39,7 @@ STATE = (
     StateField("v_c", "scalar", "-", "logarithmic volume gained since the grains parted and not yet undone"),
 )
 ROOT_TWO = 1.4142135623730951
+choices = no_choices
 
 
 def static_friction(keys):
@@ -68,10 +65,6 @@ def conflicts(keys):
     return None
 
 
-def choices(keys):
-    return {}
-
-
 def state_fields(keys):
     return STATE
 
@@ -94,7 +87,7 @@ def kirchhoff_stress(state, params):
 
 def out_of_plane_stress(state, params):
     mu, lam, static, dynamic, rate = params
-    return hencky_out_of_plane_stress(la.solid_part(state), mu, lam)
+    return hencky.out_of_plane_stress(la.solid_part(state), mu, lam)
 
 
 def sheared(trial, s_static, s_dynamic, a):
@@ -143,4 +136,4 @@ def wave_speed_squared(state, params, density):
 
 def energy(state, params):
     mu, lam, static, dynamic, rate = params
-    return hencky_energy(la.solid_part(state), mu, lam)
+    return hencky.energy(la.solid_part(state), mu, lam)

@@ -6,30 +6,18 @@ Analysis, 2nd ed. (2008), section 6.4.3.
 """
 
 from pmpm.physics import tensors2 as la
-from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, StateField, lame
+from pmpm.physics.materials.keys import ELASTIC_KEYS, StateField, lame_parameters, no_choices, no_conflicts
 from pmpm.physics.words import log
 
 SOURCE = "Bonet and Wood (2008), section 6.4.3"
-KEYS = (DENSITY, YOUNGS_MODULUS, POISSON_RATIO)
+KEYS = ELASTIC_KEYS
 STATE = (StateField("F", "tensor", "-", "deformation gradient", 1.0),)
 SMALLEST = 1e-10  # volume ratios below it only keep the logarithm finite until `valid` stops the run
-
-
-def conflicts(keys):
-    return None
-
-
-def choices(keys):
-    return {}
+conflicts, choices, parameters = no_conflicts, no_choices, lame_parameters
 
 
 def state_fields(keys):
     return STATE
-
-
-def parameters(keys, dim):
-    """(mu, lam) in Pa."""
-    return lame(keys["youngs_modulus"], keys["poisson_ratio"])
 
 
 def state_at(F, params):

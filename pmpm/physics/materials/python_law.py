@@ -10,7 +10,7 @@ wave_speed of its own.
 
 from pmpm.physics import tensors2 as la
 from pmpm.physics.materials import neo_hookean, own_law
-from pmpm.physics.materials.keys import DENSITY, Key
+from pmpm.physics.materials.keys import DENSITY, Key, no_conflicts
 from pmpm.physics.words import NAN
 
 SOURCE = "a function or a pmpm.Law given to pmpm.Scene in Python"
@@ -24,15 +24,11 @@ SOUND_SPEED = Key(
 )
 KEYS = (DENSITY, SOUND_SPEED)  # and the parameters of the functions
 STATE = neo_hookean.STATE  # and the state variables of the law
-advance_elastically = neo_hookean.advance
+conflicts, advance_elastically = no_conflicts, neo_hookean.advance
 SMALLEST = neo_hookean.SMALLEST
 OWN_STATE = ADVANCES = KNOWS_ENERGY = KNOWS_SPEED = CHECKS = False
 # Replaced by the functions of the scene.
 user_stress = user_advance = user_energy = user_wave_speed = user_valid = user_rest = neo_hookean.kirchhoff_stress
-
-
-def conflicts(keys):
-    return None
 
 
 def choices(keys):

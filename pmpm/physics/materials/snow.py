@@ -20,14 +20,12 @@ import math
 
 from pmpm.physics import hencky
 from pmpm.physics import tensors2 as la
-from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, Key, StateField, lame
+from pmpm.physics.materials.keys import ELASTIC_KEYS, Key, StateField, lame
 from pmpm.physics.words import EXP_OF_TWICE_LESS_EXP, EXPM1_OF_TWICE, any_of, exp, expm1, where
 
 SOURCE = "Stomakhin et al. (2013), ACM Trans. Graph. 32, 102"
 KEYS = (
-    DENSITY,
-    YOUNGS_MODULUS,
-    POISSON_RATIO,
+    *ELASTIC_KEYS,
     Key(
         "critical_compression",
         "-",

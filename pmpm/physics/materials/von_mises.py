@@ -10,16 +10,12 @@ strains de Souza Neto, Peric, Owen, Computational Methods for Plasticity (2008),
 
 from pmpm.physics import hencky
 from pmpm.physics import tensors2 as la
-from pmpm.physics.hencky import energy as hencky_energy
-from pmpm.physics.hencky import out_of_plane_stress as hencky_out_of_plane_stress
-from pmpm.physics.materials.keys import DENSITY, POISSON_RATIO, YOUNGS_MODULUS, Key, StateField, lame
+from pmpm.physics.materials.keys import ELASTIC_KEYS, Key, StateField, lame, no_conflicts
 from pmpm.physics.words import TINY, exp
 
 SOURCE = "Simo and Hughes (1998), box 3.1; de Souza Neto, Peric and Owen (2008), section 14.4"
 KEYS = (
-    DENSITY,
-    YOUNGS_MODULUS,
-    POISSON_RATIO,
+    *ELASTIC_KEYS,
     Key("yield_stress", "Pa", "stress at which a bar begins to flow", above=0.0),
     Key("hardening_modulus", "Pa", "growth of the yield stress per plastic strain", default=0.0, at_least=0.0),
 )
@@ -29,10 +25,7 @@ STATE = (
 )
 HARDENING = False
 ROOT_TWO_THIRDS = 0.816496580927726
-
-
-def conflicts(keys):
-    return None
+conflicts = no_conflicts
 
 
 def choices(keys):
@@ -64,7 +57,7 @@ def kirchhoff_stress(state, params):
 
 def out_of_plane_stress(state, params):
     mu, lam, radius, growth = params
-    return hencky_out_of_plane_stress(la.solid_part(state), mu, lam)
+    return hencky.out_of_plane_stress(la.solid_part(state), mu, lam)
 
 
 def advance(state, G, dt, params):
@@ -100,4 +93,4 @@ def wave_speed_squared(state, params, density):
 
 def energy(state, params):
     mu, lam, radius, growth = params
-    return hencky_energy(la.solid_part(state), mu, lam)
+    return hencky.energy(la.solid_part(state), mu, lam)
