@@ -101,6 +101,16 @@ def test_a_region_that_stays_holds_what_is_in_it():
     assert hung.particles.x[:, 1].min() > 0.2  # free, it would have fallen by 0.125
 
 
+def test_a_region_that_does_not_travel_goes_on_pushing_where_it_is():
+    belt = {"shape": {"type": "box", "min": [0.0, 0.0], "max": [1.0, 0.1]}, "velocity": [0.3, 0.0], "moves": False}
+    pushed = simulation(RESTING, motions=[belt])
+    pushed.run(until=0.3)
+    (region,) = pushed.drive.regions
+    assert (region.travelled == 0.0).all()
+    low = pushed.particles.x[:, 1] < 0.05
+    assert np.abs(pushed.particles.v[low] - [0.3, 0.0]).max() < 1e-3
+
+
 def test_a_load_is_a_force_in_newtons_on_all_particles_of_its_shape():
     loaded = simulation(loads=[{"shape": {"type": "box", "min": [0.3, 0.3], "max": [0.6, 0.4]}, "force": [7.0, -3.0]}])
     loaded.run(steps=50)
