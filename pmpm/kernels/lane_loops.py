@@ -183,7 +183,8 @@ def place_along(table, column, g):
     """Weights, first moments and slopes of one axis."""
     w = weights(g)
     put(table, column + SLAB_W, w)
-    put(table, column + SLAB_E, moments(w, g))
+    if AFFINE:
+        put(table, column + SLAB_E, moments(w, g))
     if not MLS:
         put(table, column + SLAB_D, slopes(g))
 
