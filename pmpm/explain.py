@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from pmpm.kernels.needs import labels
 from pmpm.parallel.slabs import room
 from pmpm.physics import stability
 from pmpm.physics.materials import LAWS, python_law
@@ -76,13 +77,6 @@ def bytes_per_particle(needs):
     layouts = [Layout.of(law, needs.dim, needs.carried(law)) for law in needs.laws]
     real = np.dtype(needs.precision).itemsize
     return [{f.name: f.size(needs.dim) * real for f in layout.fields} | {"id": ID_BYTES} for layout in layouts]
-
-
-def labels(laws):
-    """A name per law: its model; laws of one model with different choices are told apart by a number."""
-    models = [law.model for law in laws]
-    repeats = [models[:number].count(model) + 1 for number, model in enumerate(models)]
-    return [f"{model}_{n}" if n > 1 else model for model, n in zip(models, repeats, strict=True)]
 
 
 def byte_rows(needs):

@@ -13,8 +13,17 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from pmpm.output.files import OutputError, on_rank_zero, raise_together, unfinished_name, write_atomically
-from pmpm.output.run_directory import INDEX, SNAPSHOTS
+from pmpm.output.files import (
+    OutputError,
+    failure_of,
+    on_rank_zero,
+    raise_together,
+    remove_quietly,
+    sync_file,
+    unfinished_name,
+    write_atomically,
+)
+from pmpm.output.run_directory import FAILED, INDEX, SNAPSHOTS, snapshot_files
 from pmpm.physics.materials import LAWS
 
 FORMAT_VERSION = 1
@@ -37,15 +46,18 @@ class SnapshotWriter:
 
     `fields` are the names to write beside `id` (default: scene.output.fields). `parallel`: how several ranks write one
     file, "mpio" (collective MPI-IO, needs an h5py built with MPI; the default where it is) or "pwrite" (rank 0 lays
-    the file out, every rank writes its bytes into it).
+    the file out, every rank writes its bytes into it). `first`: the number of the next one, where a run goes on.
     """
 
-    def __init__(self, directory, scene, fields=None, parallel=None):
+    def __init__(self, directory, scene, fields=None, parallel=None, first=0):
         self.directory, self.scene, self.comm = directory, scene, directory.comm
         self.names = list(scene.output.fields if fields is None else fields)
         self.parallel = parallel or default_parallel(self.comm)
+        self.count = first
         self.entries: list[str] = []
         on_rank_zero(self.comm, lambda: (directory.path / SNAPSHOTS).mkdir(exist_ok=True))
+        if first > 0:
+            self.entries = on_rank_zero(self.comm, lambda: entries_on_disk(directory.path, self.names))
         hosts = set(self.comm.gather(socket.gethostname()))
         if self.parallel == "pwrite" and len(hosts) > 1:
             directory.log(
@@ -55,20 +67,45 @@ class SnapshotWriter:
 
     def __call__(self, simulation):
         """Write one snapshot of `simulation`. Collective; OutputError on all ranks if any rank fails."""
-        path = self.directory.path / SNAPSHOTS / f"{len(self.entries):06d}.hdf"
-        pieces, failure = {}, None
-        try:
-            pieces = collect(simulation, self.scene, self.names)
-        except Exception as error:
-            failure = error
-        raise_together(self.comm, failure)
+        path = self.directory.path / SNAPSHOTS / f"{self.count:06d}.hdf"
+        pieces: dict = {}
+        raise_together(self.comm, failure_of(lambda: pieces.update(collect(simulation, self.scene, self.names))))
         first, count = self.comm.offsets(simulation.rows())
         pieces = topology(self.comm, first, simulation.rows(), count) | pieces
-        attributes = snapshot_attributes(simulation, self.scene)
+        attributes = snapshot_attributes(self.scene, simulation.time, simulation.step_count, simulation.dt)
         shapes = write_datasets(self.comm, path, pieces, attributes, self.parallel)
         self.entries.append(index_entry(path, simulation.time, shapes))
+        self.count += 1
         text = index_text(self.scene.title, self.entries)
         on_rank_zero(self.comm, lambda: write_atomically(self.directory.path / INDEX, text))
+
+
+def write_failed(directory, simulation, message):
+    """Write the state of a run that has failed as a snapshot marked bad, DIR/failed.hdf; returns its path. Collective."""
+    comm, scene = directory.comm, simulation.scene
+    pieces: dict = {}
+    raise_together(comm, failure_of(lambda: pieces.update(collect(simulation, scene, list(scene.output.fields)))))
+    first, count = comm.offsets(simulation.rows())
+    attributes = snapshot_attributes(scene, simulation.time, simulation.step_count, simulation.dt)
+    attributes["pmpm"]["failure"] = message
+    pieces = topology(comm, first, simulation.rows(), count) | pieces
+    write_datasets(comm, directory.path / FAILED, pieces, attributes, default_parallel(comm))
+    return directory.path / FAILED
+
+
+def entries_on_disk(place, names):
+    """Entries of the index for the snapshots that a run has left in its folder, fields in the order of `names`."""
+    from pmpm.output.reader import open_snapshot
+
+    entries = []
+    for path in snapshot_files(place):
+        with open_snapshot(path) as file:
+            fields = {f"VTKHDF/PointData/{name}": None for name in ["id", *names]}
+            fields |= {f"VTKHDF/PointData/{name}": None for name in file["VTKHDF/PointData"]}
+            wanted = ["VTKHDF/Points", "VTKHDF/Connectivity", *fields]
+            shapes = {name: (file[name].shape, file[name].dtype) for name in wanted if name in file}
+            entries.append(index_entry(path, file["pmpm"].attrs["time"], shapes))
+    return entries
 
 
 def default_parallel(comm):
@@ -126,15 +163,15 @@ def topology(comm, first, rows, count):
     }
 
 
-def snapshot_attributes(simulation, scene):
+def snapshot_attributes(scene, time, step, dt):
     """Attributes of the file's two groups. Text has a fixed length: VTK wants that of Type, and parallel HDF5."""
     return {
         "VTKHDF": {"Version": np.array([1, 0], np.int64), "Type": np.bytes_("UnstructuredGrid")},
         "pmpm": {
             "format_version": np.int64(FORMAT_VERSION),
-            "time": np.float64(simulation.time),
-            "step": np.int64(simulation.step_count),
-            "dt": np.float64(simulation.dt),
+            "time": np.float64(time),
+            "step": np.int64(step),
+            "dt": np.float64(dt),
             "title": scene.title or "",
             "dim": np.int64(scene.dim),
             "precision": scene.method.precision,
@@ -143,12 +180,12 @@ def snapshot_attributes(simulation, scene):
     }
 
 
-def write_datasets(comm, path, pieces, attributes, parallel):
+def write_datasets(comm, path, pieces, attributes, parallel, durable=False):
     """Write one HDF5 file of contiguous datasets whose rows are the ranks' `pieces`, rank after rank. Collective.
 
     `pieces` is {dataset path: array}, `attributes` {group: {name: value}}; datasets get the unit that goes with their
-    name. The file appears at `path` whole or not at all. Returns {dataset path: (shape, dtype)}. A rank may have no
-    rows, or lack a dataset that another rank has. OutputError on all ranks if any fails.
+    name. The file appears at `path` whole or not at all; `durable`: not before it is on the disk. Returns {dataset path:
+    (shape, dtype)}. A rank may have no rows, or lack a dataset that another rank has. OutputError on all ranks if any fails.
     """
     pieces = {name: little_endian(rows) for name, rows in pieces.items()}
     shapes, starts = join_pieces(comm, pieces)
@@ -159,10 +196,12 @@ def write_datasets(comm, path, pieces, attributes, parallel):
     write = write_mpio if parallel == "mpio" and comm.size > 1 else write_pwrite
     try:
         write(comm, unfinished, pieces, shapes, starts, attributes)
+        if durable:
+            raise_together(comm, failure_of(lambda: sync_file(unfinished)))
     except OutputError as error:
         if comm.rank == 0:
-            unfinished.unlink(missing_ok=True)
-        raise OutputError(f"snapshot {path} cannot be written: {error}") from error
+            remove_quietly(unfinished)
+        raise OutputError(f"{path} cannot be written: {error}") from error
     on_rank_zero(comm, lambda: os.replace(unfinished, path))
     return shapes
 
@@ -203,8 +242,8 @@ def write_pwrite(comm, path, pieces, shapes, starts, attributes):
             return {name: dataset.id.get_offset() for name, dataset in datasets.items()}
 
     places = on_rank_zero(comm, lay_out)
-    failure = None
-    try:
+
+    def write_rows():
         descriptor = os.open(path, os.O_WRONLY)
         try:
             for name, rows in pieces.items():
@@ -213,9 +252,8 @@ def write_pwrite(comm, path, pieces, shapes, starts, attributes):
                     write_bytes(descriptor, rows, places[name] + starts[name] * row_bytes)
         finally:
             os.close(descriptor)
-    except Exception as error:
-        failure = error
-    raise_together(comm, failure)
+
+    raise_together(comm, failure_of(write_rows))
 
 
 def write_bytes(descriptor, rows, place):

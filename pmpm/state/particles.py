@@ -1,7 +1,8 @@
 """The particles of one law on one rank: blocks of 16 for the kernels, plain rows for those that travel.
 
 A `Population` is ordered by (layer, table row, cell) and lies in segments of blocks, see kernels.loops. A `Cloud` is rows in
-any order. `assemble` makes the one from what stayed and what arrived.
+any order. `assemble` makes the one from what stayed and what arrived. `Ordered` is a Population as rows: what it takes to
+make the very same one again, on any ranks.
 """
 
 from dataclasses import dataclass
@@ -12,6 +13,47 @@ from pmpm.kernels.places import FORMATS
 from pmpm.kernels.sorting import SEGMENT_COLUMNS
 
 LANES = 16
+
+
+@dataclass
+class Ordered:
+    """A law's particles as rows in their order: reals (n, size), the places as integers from the base nodes of the segments;
+    id (n,) int64; segments (m, 5) int64, each (layer, particles, table row, base along middle, base along row)."""
+
+    reals: np.ndarray
+    id: np.ndarray
+    segments: np.ndarray
+
+    def __len__(self):
+        return len(self.id)
+
+    @property
+    def places(self):
+        """(n, size) the same memory as integers."""
+        return self.reals.view(FORMATS[self.reals.dtype].integer)
+
+    @property
+    def nbytes(self):
+        return self.reals.nbytes + self.id.nbytes + self.segments.nbytes
+
+    def per_particle(self, per_segment):
+        """(n, ...) an array over segments, repeated for the particles of each."""
+        return np.repeat(per_segment, self.segments[:, 1], axis=0)
+
+    def bases(self, axes):
+        """(n, dim) int64 base node of each particle."""
+        return self.per_particle(segment_bases(self.segments[:, 0], self.segments, axes))
+
+    def cells(self, axes):
+        """(node, part): per particle and physical axis the node below and the part of a cell from it, int64 and float64."""
+        form, bases = FORMATS[self.reals.dtype], self.bases(axes)
+        return form.split(bases, self.places[:, : bases.shape[1]].astype(np.int64))
+
+
+def segment_bases(layer, segments, axes):
+    """(m, dim) base node of each segment, from its layer."""
+    columns = {axes[0]: layer} | {axis: segments[:, k] for k, axis in ((3, axes[1]), (4, axes[2])) if axis >= 0}
+    return np.stack([columns[axis] for axis in sorted(columns)], axis=-1)
 
 
 @dataclass
@@ -117,12 +159,39 @@ class Population:
     @property
     def block_layer(self):
         """(blocks,) global layer of each block."""
-        layer = self.first_layer + np.repeat(np.arange(len(self.layer_start) - 1), np.diff(self.layer_start))
-        return layer[self.block_segment]
+        return self.segment_layer[self.block_segment]
 
     def rows(self, fields):
         """(n, k) the reals `fields` (a slice) of every particle, in the one global order of this law."""
         return self.reals[:, fields].transpose(0, 2, 1)[self.lanes]
+
+    @property
+    def segment_layer(self):
+        """(segments,) global layer of each segment."""
+        return self.first_layer + np.repeat(np.arange(len(self.layer_start) - 1), np.diff(self.layer_start))
+
+    def ordered(self):
+        """The same particles as rows, copied."""
+        segments = np.concatenate([self.segment_layer[:, None], self.segments[:, 1:]], axis=1)
+        return Ordered(self.rows(slice(None)), self.id[self.lanes], segments)
+
+    @classmethod
+    def of_ordered(cls, ordered, first_layer, layers, rest, dim):
+        """The Population that gave these rows by `ordered`, in layers of a rank. `rest` as for `assemble`."""
+        segments = ordered.segments.copy()
+        counts = segments[:, 1]
+        blocks = -(-counts // LANES)
+        segments[:, 0] = np.cumsum(blocks) - blocks
+        first_row, of_block = np.cumsum(counts) - counts, np.repeat(np.arange(len(segments)), blocks)
+        in_segment = LANES * (np.arange(len(of_block)) - segments[of_block, 0])[:, None] + np.arange(LANES)
+        fills = in_segment >= counts[of_block, None]
+        source = first_row[of_block, None] + np.minimum(in_segment, counts[of_block, None] - 1)
+        reals = np.ascontiguousarray(ordered.reals[source].transpose(0, 2, 1))
+        ids = np.where(fills, -1, ordered.id[source])
+        block, lane = np.nonzero(fills)
+        reals[block, dim:, lane] = rest[dim:]
+        layer_start = np.searchsorted(ordered.segments[:, 0] - first_layer, np.arange(layers + 1))
+        return cls(reals, ids, segments, layer_start, first_layer)
 
     def set_rows(self, fields, values):
         """Write back what `rows` gave."""
@@ -130,21 +199,15 @@ class Population:
         self.reals[block, fields, lane] = values
 
     def per_particle(self, per_block):
-        """(n,) a per-block array, repeated for the particles of each block."""
-        return np.repeat(per_block, self.block_count)
+        """(n, ...) a per-block array, repeated for the particles of each block."""
+        return np.repeat(per_block, self.block_count, axis=0)
 
     def cells(self, axes):
         """(node, part): per particle and physical axis the node below and the part of a cell from it, int64 and float64."""
         dim = 2 if axes[1] < 0 else 3
-        form = FORMATS[self.reals.dtype]
+        bases = segment_bases(self.segment_layer, self.segments, axes)[self.block_segment]
         place = self.places[:, :dim].transpose(0, 2, 1)[self.lanes].astype(np.int64)
-        base = np.empty_like(place)
-        base[:, axes[0]] = self.per_particle(self.block_layer)
-        for column, axis in ((3, axes[1]), (4, axes[2])):
-            if axis >= 0:
-                base[:, axis] = self.per_particle(self.segments[self.block_segment, column])
-        whole = place >> form.fraction
-        return base + whole, form.to_cells(place - (whole << form.fraction))
+        return FORMATS[self.reals.dtype].split(self.per_particle(bases), place)
 
     def at(self, node, place):
         """The particles as a Cloud, in order, at other places (n, dim) from these nodes (n, dim)."""
