@@ -191,7 +191,7 @@ class Simulation:
         return speed, wave
 
     def state(self, outputs=None):
-        """A copy of all that it takes to go on from here, for a checkpoint. Collective. NumericalFailure as `check`."""
+        """All that it takes to go on from here, for a checkpoint. Collective. NumericalFailure as `check`."""
         return restore.state(self, outputs)
 
     def datasets(self, state):
