@@ -194,6 +194,15 @@ class Simulation:
         """All that it takes to go on from here, for a checkpoint. Collective. NumericalFailure as `check`."""
         return restore.state(self, outputs)
 
+    def save(self, path):
+        """Write a checkpoint file, and its manifest beside it, from which `restart` goes on. Collective.
+
+        Raises OutputError where it cannot be written, NumericalFailure as `check`.
+        """
+        from pmpm.output import checkpoints
+
+        checkpoints.save(self, path)
+
     def datasets(self, state):
         """({dataset: this rank's rows}, {group: attributes}) of a checkpoint that holds a state of this simulation."""
         return restore.datasets(self, state)
