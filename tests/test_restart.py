@@ -1,6 +1,7 @@
 """A simulation that was saved and read back goes on as if nothing had happened, bit for bit.
 
-Here on one process, for each law, scheme and spline; tests/mpi/test_restart_mpi.py changes the number of ranks, tests/test_kills.py ends processes at any moment.
+Here on one process, for each law, scheme and spline; tests/mpi/test_restart_mpi.py changes the number of ranks, and
+tests/test_kills.py ends processes at any moment.
 """
 
 import fast_and_scalar

@@ -274,7 +274,7 @@ HOSTILE = {
     "no segments": (SEGMENTS, lambda rows: None),
     "a place far away": (PLACE, lambda rows: with_value(rows, (0, 0), 1 << 62)),
     "a place outside the domain": (PLACE, lambda rows: with_value(rows, (0, 1), -(100 << 52))),
-    "a place beyond its layer": (PLACE, lambda rows: with_value(rows, (0, 0), 2 << 52)),
+    "a place beyond its layer": (PLACE, lambda rows: with_value(rows, 0, 2 << 52)),
     "places too few": (PLACE, lambda rows: rows[:-1]),
     "places of the wrong type": (PLACE, lambda rows: rows.astype(np.int32)),
     "ids too few": ("VTKHDF/PointData/id", lambda rows: rows[:-1]),
