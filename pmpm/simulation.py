@@ -15,7 +15,7 @@ import time as clock
 
 import numpy as np
 
-from pmpm import failure, populate, readout
+from pmpm import estimate, failure, populate, readout
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
@@ -83,6 +83,7 @@ class Simulation:
         )
         self.control.begin(self.step_count, *self.fastest())
         self.check_fixed_step(SceneError)
+        estimate.refuse_steps(scene.time, self.control.choose(0.0))
         self.dt = self.control.choose(self.time)  # of the step just taken; before the first, of the one to come
         self.tell("preparing kernels (compiled once, then kept on disk)")
         self.in_turn(self.warm_up)

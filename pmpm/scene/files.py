@@ -1,6 +1,9 @@
 """From files and `--set` texts to plain tables, before anything is checked; needs no pydantic."""
 
+import os
 import re
+import select
+import stat
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,6 +12,8 @@ from typing import Any
 from pmpm.scene.errors import SceneError
 from pmpm.scene.messages import known_text, path_text, value_text
 
+MOST_BYTES = 16 << 20  # of a scene file
+PATIENCE = 30  # s
 BUILTIN = Path(__file__).parent / "builtin"
 
 
@@ -41,7 +46,8 @@ def find_scene(name: str) -> Path:
 def read_text(path: str | Path) -> str:
     """Read a scene file; raises SceneError for whatever keeps it from being read."""
     try:
-        return Path(path).read_bytes().decode("utf-8-sig")
+        content = read_bytes(Path(path))
+        return content.decode("utf-8-sig")
     except FileNotFoundError:
         raise SceneError(f"{path}: no such file") from None
     except IsADirectoryError:
@@ -50,6 +56,40 @@ def read_text(path: str | Path) -> str:
         raise SceneError(f"{path}: is not UTF-8 text: byte {error.object[error.start]:#04x} at {error.start}") from None
     except (OSError, ValueError) as error:
         raise SceneError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a file, device or pipe; raises SceneError for one that never ends or that nothing comes out of."""
+    mode = path.stat().st_mode
+    if stat.S_ISDIR(mode):
+        raise SceneError(f"{path}: is a directory, not a scene file")
+    if stat.S_ISFIFO(mode):
+        return bounded(path, read_pipe(path))
+    with path.open("rb") as file:
+        return bounded(path, file.read(MOST_BYTES + 1))
+
+
+def bounded(path: Path, content: bytes) -> bytes:
+    if len(content) > MOST_BYTES:
+        raise SceneError(f"{path}: is longer than {MOST_BYTES >> 20} MB: no scene file")
+    return content
+
+
+def read_pipe(path: Path) -> bytes:
+    """Read what comes out of a pipe; where nobody writes, that is nothing. Raises SceneError after a time without a word."""
+    pipe = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        content = b""
+        while len(content) <= MOST_BYTES:
+            if not select.select([pipe], [], [], PATIENCE)[0]:
+                raise SceneError(f"{path}: is a pipe out of which nothing came for {PATIENCE} s")
+            piece = os.read(pipe, 1 << 16)
+            if not piece:
+                break
+            content += piece
+        return content
+    finally:
+        os.close(pipe)
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
