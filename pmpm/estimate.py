@@ -117,15 +117,20 @@ def available_memory():
         if not (told.isdecimal() and int(told) > 0):
             raise SceneError(f"environment: {MEMORY_LIMIT} = {told!r} must be a whole number of bytes > 0")
         return float(told)
-    limits = [system_memory(), *(group_memory(*files) for files in CGROUPS)]
-    shell = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return min([*limits, math.inf if shell == resource.RLIM_INFINITY else float(shell)])
+    return min(system_memory(), shell_memory(), *(group_memory(*files) for files in CGROUPS))
 
 
 def system_memory():
     lines = read(Path("/proc/meminfo")).splitlines()
     kilobytes = [line.split()[1] for line in lines if line.startswith("MemAvailable:")]
     return 1024.0 * int(kilobytes[0]) if kilobytes else math.inf
+
+
+def shell_memory():
+    limit, used = resource.getrlimit(resource.RLIMIT_AS)[0], read(Path("/proc/self/statm")).split()
+    if limit == resource.RLIM_INFINITY or not used:
+        return math.inf
+    return max(float(limit) - float(used[0]) * resource.getpagesize(), 0.0)
 
 
 def group_memory(limit_file, use_file):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pmpm.scene.errors import SceneError
-from pmpm.scene.messages import known_text, path_text, value_text
+from pmpm.scene.messages import cut_short, known_text, path_text, value_text
 
 MOST_BYTES = 16 << 20  # of a scene file
 PATIENCE = 30  # s
@@ -36,9 +36,13 @@ def find_scene(name: str) -> Path:
     A directory does not stand in the way of a built-in scene: `pmpm run dam_break` leaves one of that name.
     """
     scenes = builtin_scenes()
-    if not Path(name).is_file() and name in scenes:
+    try:
+        is_file, exists = Path(name).is_file(), Path(name).exists()
+    except OSError as error:  # a name that is too long
+        raise SceneError(f"{cut_short(name)}: cannot be looked up: {error.strerror}") from None
+    if not is_file and name in scenes:
         return scenes[name]
-    if not Path(name).exists():
+    if not exists:
         raise SceneError(f"{name}: no such file, nor a built-in scene; {known_text(name, scenes, 'built-in are')}")
     return Path(name)
 
@@ -100,13 +104,15 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         raise SceneError(f"{source}: is not valid TOML: {' '.join(str(error).split())}") from None
     except RecursionError:
         raise SceneError(f"{source}: is not valid TOML: nested too deeply") from None
+    except ValueError as error:  # an integer of thousands of digits
+        raise SceneError(f"{source}: holds a number that cannot be read: {error}") from None
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
     """Split `key.path=value`; the value is a TOML literal, else a string. Raises SceneError without a key or `=`."""
     key, sign, value = text.partition("=")
     if not sign or not key.strip():
-        raise SceneError(f"--set {text}: must be key.path=value, for example --set time.end=0.5")
+        raise SceneError(f"--set {cut_short(text)}: must be key.path=value, for example --set time.end=0.5")
     return key.strip(), parse_literal(value.strip())
 
 
@@ -114,7 +120,7 @@ def parse_literal(text: str) -> Any:
     """Read a TOML value; what is none is the text itself, so that words need no quotes."""
     try:
         table = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return text
     return table["value"] if len(table) == 1 else text
 
@@ -124,8 +130,8 @@ def split_key(key: str) -> tuple[str, ...]:
     dotted = key if '"' in key or "'" in key else re.sub(r"\[(\d+)\]", r".\1", key)
     try:
         table: Any = tomllib.loads(f"{dotted} = true")
-    except tomllib.TOMLDecodeError:
-        raise SceneError(f"--set {key}: is not a dotted key like time.end or bodies.0.velocity") from None
+    except (ValueError, RecursionError):
+        raise SceneError(f"--set {cut_short(key)}: is not a dotted key like time.end or bodies.0.velocity") from None
     path = []
     while isinstance(table, dict):
         (name,) = table if len(table) == 1 else ("",)
