@@ -3,11 +3,13 @@
 import argparse
 import os
 import sys
+import time
 import traceback
 
 from pmpm import __version__
 
-FINISHED, FAILED, WRONG_INPUT = 0, 1, 2
+FINISHED, FAILED, WRONG_INPUT, STOPPED = 0, 1, 2, 3
+BEGAN = time.time()  # from which --walltime counts
 NOT_BUILT = {
     "render": "pictures and a film of a run, without ParaView",
     "plot": "diagnostics of a run over time",
@@ -104,12 +106,21 @@ def parser(rank=0):
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     run = commands.add_parser("run", help="run a scene: a TOML file or the name of a built-in one", allow_abbrev=False)
-    add_scene(run)
+    add_scene(run, nargs="?")
     run.add_argument("--out", metavar="DIR", help="folder of the run (default: ./<scene name>)")
     run.add_argument("--overwrite", action="store_true", help="replace a run that is in the folder")
     run.add_argument("--until", type=float, metavar="T", help="stop at the first step not before T (s)")
     run.add_argument("--steps", type=int, metavar="N", help="stop after N steps")
-    run.add_argument("--restart", metavar="PATH", help="continue from a checkpoint (not built yet)")
+    run.add_argument(
+        "--restart",
+        metavar="PATH",
+        help="continue from a checkpoint or the newest good one of a run folder; with a SCENE, begin if there is none yet",
+    )
+    run.add_argument(
+        "--walltime",
+        metavar="HH:MM[:SS]",
+        help="stop in time with a checkpoint (status 3); inside a Slurm job its end is known, none: do not stop",
+    )
     run.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="cuda is not built yet")
     run.add_argument(
         "--threads", type=int, default=1, metavar="N", help="threads per rank; more than 1 is not built yet"
@@ -129,8 +140,8 @@ def parser(rank=0):
     return top
 
 
-def add_scene(command_parser):
-    command_parser.add_argument("scene", metavar="SCENE")
+def add_scene(command_parser, nargs=None):
+    command_parser.add_argument("scene", metavar="SCENE", nargs=nargs)
     command_parser.add_argument(
         "--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change any key of the scene (repeatable)"
     )
@@ -143,9 +154,6 @@ def read_scene(options, comm):
     from pmpm.scene.errors import SceneError
     from pmpm.scene.schema import Scene
 
-    settings = dict(files.parse_setting(text) for text in options.set)
-    if options.precision:
-        settings["method.precision"] = options.precision
     path = text = problem = None
     if comm.rank == 0:
         try:
@@ -156,17 +164,27 @@ def read_scene(options, comm):
     path, text, problem = comm.broadcast((path, text, problem))
     if problem:
         raise SceneError(problem)
-    return Scene.from_text(text, str(path), settings)
+    return Scene.from_text(text, str(path), settings(options))
 
 
-def run(options, comm):
-    from pathlib import Path
+def settings(options):
+    """{dotted key: value} set on top of the scene."""
+    from pmpm.scene import files
 
+    given = dict(files.parse_setting(text) for text in options.set)
+    if options.precision:
+        given["method.precision"] = options.precision
+    return given
+
+
+def check_options(options):
+    """Raise SceneError for options of `run` that are wrong by themselves."""
     from pmpm.scene.errors import NotBuilt, SceneError
 
-    for given, name in ((options.restart, "--restart"), (options.backend == "cuda", "--backend cuda")):
-        if given:
-            raise NotBuilt(f"{name} is not built yet")
+    if options.scene is None and options.restart is None:
+        raise SceneError("pmpm run: give a SCENE, or --restart PATH to continue one")
+    if options.backend == "cuda":
+        raise NotBuilt("--backend cuda is not built yet")
     if options.threads != 1:
         if options.threads < 1:
             raise SceneError(f"--threads {options.threads}: must be at least 1")
@@ -174,19 +192,49 @@ def run(options, comm):
     for value, name in ((options.until, "--until"), (options.steps, "--steps")):
         if value is not None and not value > 0:
             raise SceneError(f"{name} {value}: must be greater than 0")
-    scene = read_scene(options, comm)
 
+
+def run(options, comm):
+    check_options(options)
+    from pmpm import requests
     from pmpm.failure import NumericalFailure
-    from pmpm.run import run_scene
+    from pmpm.run import OutputFailure, run_scene
+    from pmpm.watching import STOP
 
-    out = options.out or Path(options.scene).stem
+    deadline = requests.deadline_of(options.walltime, BEGAN)
+    begin = where_to_begin(options, comm)
+    if begin.message and comm.rank == 0:
+        print(f"pmpm: {begin.message}", file=sys.stderr, flush=True)
+    if begin.scene is None:
+        return FINISHED
+    overwrite = options.overwrite or begin.anew
     try:
-        run_scene(scene, out, comm, options.until, options.steps, options.overwrite, options.quiet)
-    except NumericalFailure as failure:
+        simulation = run_scene(
+            begin.scene, begin.out, comm, options.until, options.steps, overwrite, options.quiet, begin.origin, deadline
+        )
+    except (NumericalFailure, OutputFailure) as failure:
         return complain(f"stopped: {failure}", comm.rank, FAILED)
-    if comm.rank == 0 and not options.quiet:
+    stopped = simulation.asked >= STOP and not simulation.finished
+    if stopped:
+        complain(f"stopped on request ({requests.reason(simulation.asked)}) after step {simulation.step_count}, "
+                 f"t = {simulation.time:.6g} s, with a checkpoint: --restart {begin.out} continues", comm.rank)  # fmt: skip
+    elif comm.rank == 0 and not options.quiet:
+        out = begin.out
         print(f"{out}: open {out}/snapshots.xdmf in ParaView, or run: pmpm info {out}", flush=True)
-    return FINISHED
+    return STOPPED if stopped else FINISHED
+
+
+def where_to_begin(options, comm):
+    """What `run` is to run, from where, into which folder."""
+    from pathlib import Path
+
+    from pmpm import restart
+    from pmpm.restart import Begin
+
+    given = read_scene(options, comm) if options.scene is not None else None
+    if options.restart is None:
+        return Begin(given, options.out or Path(options.scene).stem)
+    return restart.begin(options.restart, given, settings(options), options.out, options.overwrite, comm)
 
 
 def check(options, comm):

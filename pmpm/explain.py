@@ -4,6 +4,7 @@ import math
 
 from pmpm import estimate
 from pmpm.estimate import bytes_per_particle
+from pmpm.kernels.needs import labels
 from pmpm.parallel.slabs import room
 from pmpm.physics.materials import LAWS, python_law
 from pmpm.populate import rehearse
@@ -84,13 +85,6 @@ def refuse_fixed_step(scene, needs, tables):
 
 def law_text(law):
     return f"{law.model} (keeps {', '.join(law.state)})"
-
-
-def labels(laws):
-    """A name per law: its model; laws of one model with different choices are told apart by a number."""
-    models = [law.model for law in laws]
-    repeats = [models[:number].count(model) + 1 for number, model in enumerate(models)]
-    return [f"{model}_{n}" if n > 1 else model for model, n in zip(models, repeats, strict=True)]
 
 
 def byte_rows(needs):

@@ -7,13 +7,34 @@ import numpy as np
 from pmpm import estimate
 from pmpm.kernels import targets
 from pmpm.kernels.needs import law_needs
+from pmpm.parallel.regroup import migrate
 from pmpm.scene import geostatic, seeding, start
 from pmpm.scene.errors import SceneError
 from pmpm.scene.functions import Unfit
 from pmpm.scene.messages import value_text
 from pmpm.scene.schema import ROUNDING
 from pmpm.state.derived import DENSITY, PARAMETERS
-from pmpm.state.particles import Cloud
+from pmpm.state.particles import Cloud, Loose
+
+
+class Beginning:
+    """Fills a simulation with what its scene begins with; restore.Continuation is the other way to begin."""
+
+    def count_per_layer(self, simulation):
+        return count_per_layer(simulation)
+
+    def fill(self, simulation):
+        """Give every rank the particles that start in its layers. Collective. Raises SceneError."""
+        seeds = seeding.seed(simulation.scene, simulation.geometry, simulation.first_layer, simulation.last_layer)
+        loads = load_accelerations(simulation, seeds)
+        seeded = [Loose.of_rows(cloud(simulation, law, seeds, loads)) for law in range(len(simulation.needs.laws))]
+        arrived, _ = migrate(
+            seeded, simulation.geometry.axes[0], simulation.slabs, simulation.comm
+        )  # of displaced bodies
+        simulation.settle_in(seeded, arrived)
+        simulation.changed_by_hand()
+        simulation.dt = simulation.control.choose(simulation.time)
+        estimate.refuse_steps(simulation.scene.time, simulation.dt)
 
 
 def count_per_layer(simulation):

@@ -4,13 +4,18 @@ import math
 
 import numpy as np
 
+from pmpm.kernels.needs import labels
 from pmpm.physics.materials import law_of
 from pmpm.state.fields import OPTIONAL, Field
 
 
 def order(simulation):
     """Permutation that puts the laws' particles, one law after another, into the one global order."""
-    return np.argsort(np.concatenate([p.per_particle(p.block_layer) for p in simulation.populations]), kind="stable")
+    return order_of(simulation.populations)
+
+
+def order_of(populations):
+    return np.argsort(np.concatenate([p.per_particle(p.block_layer) for p in populations]), kind="stable")
 
 
 def fields(simulation, names):
@@ -48,11 +53,8 @@ def law_fields(simulation, names):
     Laws of one model that were compiled with different choices are told apart by a number: drucker_prager, drucker_prager_2.
     """
     found: dict[str, dict] = {}
-    models: list[str] = []
-    for law, derived in zip(simulation.needs.laws, simulation.derived(simulation.real), strict=True):
-        models.append(law.model)
-        repeated = models.count(law.model)
-        label = law.model if repeated == 1 else f"{law.model}_{repeated}"
+    laws = simulation.needs.laws
+    for label, law, derived in zip(labels(laws), laws, simulation.derived(simulation.real), strict=True):
         own = {f.name for f in law.fields}
         values = {name: derived.field(name) for name in names if name in own}
         if values:

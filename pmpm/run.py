@@ -1,12 +1,15 @@
 """One run from scene to finished folder: the simulation with the built-in outputs attached to it."""
 
+from pmpm import restart
 from pmpm.failure import NumericalFailure
-from pmpm.output import run_directory
+from pmpm.output import checkpoints, run_directory
 from pmpm.output.diagnostics import Diagnostics
-from pmpm.output.files import on_rank_zero
+from pmpm.output.files import OutputError, on_rank_zero
 from pmpm.output.progress import Progress
-from pmpm.output.snapshots import SnapshotWriter
+from pmpm.output.snapshots import SnapshotWriter, write_failed
+from pmpm.requests import Requests, reason
 from pmpm.simulation import Simulation
+from pmpm.watching import CHECKPOINT, STOP
 
 
 class Once:
@@ -21,34 +24,126 @@ class Once:
             self.call(simulation)
 
 
-def run_scene(scene, out, comm, until=None, steps=None, overwrite=False, quiet=False):
+class OutputFailure(Exception):  # noqa: N818
+    """A run that had begun has stopped because something could not be written; the text is for the user."""
+
+
+def run_scene(scene, out, comm, until=None, steps=None, overwrite=False, quiet=False, origin=None, deadline=None):
     """Run a scene into the folder `out` and return the Simulation. Collective.
 
-    Raises SceneError or OutputError before anything is written, NumericalFailure after the folder has been closed.
+    `origin`: a restart.Origin to go on from; `deadline`: when to stop by time.time(). The run stops early on SIGTERM, SIGINT
+    and SIGUSR1 too, with a checkpoint. Raises SceneError or OutputError before anything is written, NumericalFailure and
+    OutputFailure after the folder has been closed.
     """
-    on_rank_zero(comm, lambda: run_directory.check_new(out, overwrite))
+    folder = on_rank_zero(comm, lambda: restart.check_folder(out, overwrite, origin))
     progress = Progress(scene.time.end, comm, quiet=quiet)
-    simulation = Simulation(scene, comm, tell=progress.stage)
-    directory = run_directory.RunDirectory.create(out, scene.to_toml(), comm, overwrite)
-    progress.directory = directory
-    status, report = "failed", {}
-    try:
-        for note in simulation.notes:
-            progress.stage(note)
-        snapshots, diagnostics = Once(SnapshotWriter(directory, scene)), Once(Diagnostics(directory))
-        simulation.every(snapshots, seconds=scene.output.snapshot_interval, at_start=True)
-        simulation.every(diagnostics, seconds=scene.output.diagnostics_interval, at_start=True)
-        simulation.every(progress, steps=1, at_start=True)
-        simulation.run(until=until, steps=steps)
-        snapshots(simulation)
-        diagnostics(simulation)
-        progress.finish(simulation)
-        status = "finished" if simulation.finished else "stopped early"
-        report = simulation.report()
-    except NumericalFailure as failure:
-        directory.log(str(failure))
-        report = {"failure": str(failure)} | simulation.report()
-        raise
-    finally:
-        directory.finish(status, report)
+    requests = Requests(comm, deadline, scene.output.checkpoint_wall_interval)
+    with requests.listening():
+        if origin is None:
+            simulation = Simulation(scene, comm, tell=progress.stage)
+        else:
+            simulation = restart.simulation(origin, scene, comm, tell=progress.stage)
+        directory = open_folder(folder, simulation, origin, overwrite)
+        progress.directory = directory
+        status, report = "failed", {}
+        try:
+            outputs = Outputs(simulation, directory, progress, requests, origin)
+            outputs.run(until, steps)
+            status, report = end_status(simulation), simulation.report()
+        except NumericalFailure as failure:
+            text = f"{failure}{outputs.keep_failed(failure)}"
+            directory.log(text)
+            report = {"failure": text} | simulation.report()
+            raise NumericalFailure(text) from failure
+        except OutputError as error:
+            directory.log(str(error))
+            report = {"failure": str(error)}
+            raise OutputFailure(str(error)) from error
+        finally:
+            directory.finish(status, report)
     return simulation
+
+
+def open_folder(folder, simulation, origin, overwrite):
+    """The RunDirectory of a run that begins, or goes on in its own folder or in a new one."""
+    scene, comm = simulation.scene.to_toml(), simulation.comm
+    if origin is None:
+        return run_directory.RunDirectory.create(folder, scene, comm, overwrite)
+    beginning = {"checkpoint": str(origin.path), "step": simulation.step_count, "time": simulation.time}
+    if folder == origin.run:
+        return run_directory.RunDirectory.resume(folder, scene, comm, beginning, simulation.outputs, origin.newer)
+    return run_directory.RunDirectory.create(folder, scene, comm, overwrite, beginning)
+
+
+def end_status(simulation):
+    if simulation.finished:
+        return "finished"
+    return f"stopped on request: {reason(simulation.asked)}" if simulation.asked >= STOP else "stopped early"
+
+
+class Outputs:
+    """All that watches a run: progress, snapshots, diagnostics, checkpoints, the copy kept for a failure, and requests."""
+
+    def __init__(self, simulation, directory, progress, requests, origin):
+        self.simulation, self.directory, self.requests, self.origin = simulation, directory, requests, origin
+        scene, before = simulation.scene, simulation.outputs
+        self.progress = progress
+        self.snapshots = SnapshotWriter(directory, scene, first=before.get("snapshots", 0))
+        self.diagnostics = Diagnostics(directory, before.get("diagnostics", 0))
+        bad = [number for number, _ in origin.complaints] if origin else []
+        self.checkpoints = checkpoints.CheckpointWriter(directory, scene.output.checkpoint_keep, self.counts, bad=bad)
+        self.copy = None
+        for note in (*(origin.notes(simulation) if origin else ()), *simulation.notes):
+            progress.stage(note)
+
+    def counts(self):
+        """How much there is of what is counted, as a checkpoint holds it."""
+        return {"snapshots": self.snapshots.count, "diagnostics": self.diagnostics.count}
+
+    def run(self, until, steps):
+        """Run the simulation with everything attached, and write what belongs to its end."""
+        simulation, begins = self.simulation, self.origin is None
+        output, guard = simulation.scene.output, simulation.scene.guard
+        snapshots, diagnostics = Once(self.snapshots), Once(self.diagnostics)
+        simulation.every(snapshots, seconds=output.snapshot_interval, at_start=begins, name="snapshots")
+        simulation.every(diagnostics, seconds=output.diagnostics_interval, at_start=begins, name="diagnostics")
+        simulation.every(self.progress, steps=1, at_start=True)
+        if output.checkpoint_interval is not None:
+            simulation.every(self.write_checkpoint, seconds=output.checkpoint_interval, name="checkpoints")
+        if guard.keep_copy:
+            simulation.every(self.keep_copy, steps=guard.interval, at_start=True)
+        simulation.every(self.answer, steps=1)
+        simulation.run(until=until, steps=steps)
+        if not simulation.finished:
+            self.write_checkpoint(simulation)
+        if simulation.finished or simulation.asked < STOP:
+            snapshots(simulation)
+            diagnostics(simulation)
+        self.progress.finish(simulation)
+
+    def answer(self, simulation):
+        """Do what all ranks have agreed on, and pass on what this rank is asked for."""
+        if simulation.asked == CHECKPOINT:
+            self.write_checkpoint(simulation)
+            simulation.answered()
+        self.requests(simulation)
+
+    def write_checkpoint(self, simulation):
+        self.checkpoints(simulation)
+        self.requests.wrote_checkpoint(self.checkpoints.longest)
+
+    def keep_copy(self, simulation):
+        self.copy = simulation.state(self.counts()).copy()
+
+    def keep_failed(self, failure):
+        """Write the state that failed, and the copy kept before; returns what to say of them."""
+        told = []
+        try:
+            told.append(f"its state is in {write_failed(self.directory, self.simulation, str(failure))}")
+            if self.copy is not None:
+                self.checkpoints.write(self.simulation, self.copy)
+        except OutputError as error:
+            told.append(str(error))
+        newest = self.checkpoints.newest or (self.origin and self.origin.path)
+        told.append(f"the newest good checkpoint is {newest}" if newest else "there is no checkpoint")
+        return "; " + "; ".join(told)

@@ -15,7 +15,7 @@ import time as clock
 
 import numpy as np
 
-from pmpm import estimate, failure, populate, readout
+from pmpm import failure, populate, readout, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
@@ -26,24 +26,24 @@ from pmpm.parallel.halo import Halo
 from pmpm.parallel.regroup import migrate
 from pmpm.parallel.slabs import Slabs, cut_evenly, room
 from pmpm.particle_access import Particles
-from pmpm.scene import seeding
 from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
 from pmpm.state.derived import PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
 from pmpm.state.grid import Patch
 from pmpm.state.particles import Loose, Population, assemble
-from pmpm.timestep import StepControl
-from pmpm.watching import Observer, Timers, spread
+from pmpm.timestep import FAILED, REQUEST, StepControl
+from pmpm.watching import STOP, Observer, Timers, spread
 
 
 class Simulation:
     """A scene being run. `comm`: an mpi4py communicator, or None for this process alone. Collective in all it does.
 
-    Raises SceneError if the scene holds no particles or a fixed time step is beyond the stable one.
+    `source` fills it with particles: the scene's own bodies, or what a checkpoint holds (see `restart`). Raises SceneError if
+    the scene holds no particles or a fixed time step is beyond the stable one.
     """
 
-    def __init__(self, scene, comm=None, tell=None):
+    def __init__(self, scene, comm=None, tell=None, source=None):
         self.comm = communication.adopt(comm)
         self.scene, self.tell = scene, tell or (lambda message: None)
         self.dim, self.real = scene.dim, np.dtype(scene.method.precision).type
@@ -59,7 +59,11 @@ class Simulation:
         self.wraps = any(self.geometry.periodic[axis] for axis in self.geometry.axes[1:] if axis >= 0)
         self.limits, self.ends = domain_limits(scene, self.geometry)
         self.time, self.step_count = 0.0, 0
+        self.request = 0  # what this rank is asked for, until all ranks have been told
         self.observers: list[Observer] = []
+        self.counts: dict = {}  # of observers with a name, from a checkpoint: (seconds, count)
+        self.outputs: dict = {}  # how much there is of each output, from a checkpoint
+        self.dt = 0.0  # of the step just taken; before the first, of the one to come
         self.failed: list[tuple[int, int, int, int]] = []  # (law, block, lane, cause) in this step, first of each range
         self.failure: dict | None = None
         self.regroups, self.sent = 0, np.zeros(self.comm.size, np.int64)
@@ -71,24 +75,29 @@ class Simulation:
             )
         self.kernels = build.build(self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables], loops)
 
-        self.cut(cut_evenly(populate.count_per_layer(self), self.comm.size, self.needs.stencil.window))
-        self.in_turn(self.warm_up_regroup)
-        seeds = seeding.seed(self.scene, self.geometry, self.first_layer, self.last_layer)
-        loads = populate.load_accelerations(self, seeds)
-        seeded = [Loose.of_rows(populate.cloud(self, law, seeds, loads)) for law in range(len(self.needs.laws))]
-        arrived, _ = migrate(seeded, self.geometry.axes[0], self.slabs, self.comm)  # of displaced bodies
-        self.settle_in(seeded, arrived)
         self.control = StepControl(
             self.comm, scene.time, scene.domain.cell_size, self.dim, FARTHEST / 64, SETTLED / 64, TRAVEL
         )
-        self.control.begin(self.step_count, *self.fastest())
+        self.first_energy = 0.0
+        source = source or populate.Beginning()
+        self.cut(cut_evenly(source.count_per_layer(self), self.comm.size, self.needs.stencil.window))
+        self.in_turn(self.warm_up_regroup)
+        source.fill(self)
         self.check_fixed_step(SceneError)
-        estimate.refuse_steps(scene.time, self.control.choose(0.0))
-        self.dt = self.control.choose(self.time)  # of the step just taken; before the first, of the one to come
         self.tell("preparing kernels (compiled once, then kept on disk)")
         self.in_turn(self.warm_up)
-        self.first_energy = 0.0
-        self.take_energy()
+
+    @classmethod
+    def restart(cls, path, scene=None, comm=None):
+        """Go on from a checkpoint file, or the newest good one of a run directory, on any number of ranks.
+
+        `scene`: as it was, with changes that a run may take (see docs/reliability.md), or None to take the checkpoint's own; a
+        scene with Python functions must be given. Raises SceneError or OutputError.
+        """
+        from pmpm import restart
+
+        comm = communication.adopt(comm)
+        return restart.simulation(restart.find(path, comm), scene, comm)
 
     # ---- set-up ----
 
@@ -163,7 +172,7 @@ class Simulation:
             self.measure_divergence(0)
         self.scatter(0, 0, 0.0)
         self.update_planes(0, 0, 0.0)
-        self.g2p(0, 0, self.real(0), np.zeros(4))
+        self.g2p(0, 0, self.real(0), np.zeros(REQUEST + 1))
         if self.slabs.cuts:
             self.halo.warm_up()
         nothing, normal, none = (0,) * 9, np.zeros(self.dim, self.real), self.real(0)
@@ -181,8 +190,17 @@ class Simulation:
             wave = max(wave, float(waves[np.isfinite(waves)].max(initial=0.0)))
         return speed, wave
 
+    def state(self, outputs=None):
+        """All that it takes to go on from here, for a checkpoint. Collective. NumericalFailure as `check`."""
+        return restore.state(self, outputs)
+
+    def datasets(self, state):
+        """({dataset: this rank's rows}, {group: attributes}) of a checkpoint that holds a state of this simulation."""
+        return restore.datasets(self, state)
+
     def changed_by_hand(self, moved=None):
-        """Take note that someone has written to the particles; `moved`: all of them, per law, at new places. Collective."""
+        """Take note that someone has written to the particles, or changed what drives them; `moved`: all of them, per law, at
+        new places. Collective."""
         if moved is not None:
             self.regroup(loose=[Loose.of_rows(cloud) for cloud in moved])
         self.control.begin(self.step_count, *self.fastest())
@@ -219,8 +237,8 @@ class Simulation:
 
     def advance(self, dt):
         now = clock.perf_counter()
-        extremes = np.zeros(4)
-        extremes[3] = -math.inf
+        extremes = np.zeros(REQUEST + 1)
+        extremes[FAILED] = -math.inf
         self.failed.clear()
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
         self.drive.start(self.time)
@@ -263,7 +281,8 @@ class Simulation:
         if self.failed and self.failure is None:
             self.failure = failure.describe(self, *min(self.failed))
         if self.failure is not None:
-            extremes[3] = -self.failure["step"]
+            extremes[FAILED] = -self.failure["step"]
+        extremes[REQUEST], self.request = self.request, 0
         self.drive.finish(dt)
         self.control.start(self.step_count + 1, float(dt), extremes)
         self.timers.add("g2p", began)
@@ -378,7 +397,7 @@ class Simulation:
                 self.patch.before, self.blend, self.patch.divergences, self.first_layer, self.limits, self.ends,
                 kernels.scratch, kernels.first_nodes, kernels.constants, dt, self.dx, self.inv_dx, failure,
             )  # fmt: skip
-            np.maximum(extremes[:3], found, out=extremes[:3])
+            np.maximum(extremes[:FAILED], found, out=extremes[:FAILED])
             if failure[0]:
                 cause, block, lane = map(int, failure)
                 self.failed.append((number, block, lane, cause))
@@ -405,10 +424,10 @@ class Simulation:
     # ---- running ----
 
     def run(self, until=None, steps=None):
-        """Step until the scene's end, or stop early at the first step not before `until` (s) or after `steps` steps."""
+        """Step until the scene's end, or stop early: at the first step not before `until` (s), after `steps`, or when asked."""
         stop_time = self.scene.time.end if until is None else min(until, self.scene.time.end)
         stop_step = math.inf if steps is None else self.step_count + steps
-        while self.time < stop_time and self.step_count < stop_step:
+        while self.time < stop_time and self.step_count < stop_step and self.asked < STOP:
             self.step()
         self.check()
 
@@ -416,13 +435,32 @@ class Simulation:
     def finished(self):
         return self.time >= self.scene.time.end
 
-    def every(self, call, steps=None, seconds=None, at_start=False):
-        """Call `call(simulation)` on all ranks every `steps` steps or every `seconds` of simulated time."""
+    def every(self, call, steps=None, seconds=None, at_start=False, name=None):
+        """Call `call(simulation)` on all ranks every `steps` steps or every `seconds` of simulated time.
+
+        With a `name` a restart goes on counting where the run stopped.
+        """
         if (steps is None) == (seconds is None):
             raise ValueError("give either steps or seconds")
         if at_start:
             call(self)
-        self.observers.append(Observer(call, steps, seconds))
+        counted_for, count = self.counts.get(name, (None, 0))
+        if seconds is not None and counted_for != seconds:
+            count = math.floor(self.time / seconds) + 1
+        self.observers.append(Observer(call, steps, seconds, count, name))
+
+    def ask(self, request):
+        """Ask all ranks for something, from one of them: they agree on it a few steps later, see `asked`."""
+        self.request = max(self.request, request)
+
+    @property
+    def asked(self):
+        """What all ranks have been asked for, the most urgent of it; 0 for nothing."""
+        return self.control.asked
+
+    def answered(self):
+        """Take note that what was asked for has been done."""
+        self.control.asked = 0
 
     def call_observers(self):
         due = [observer for observer in self.observers if observer.due(self)]
@@ -466,6 +504,11 @@ class Simulation:
     def rows(self):
         """How many particles this rank holds."""
         return sum(map(len, self.populations))
+
+    @property
+    def nbytes(self):
+        """Bytes of this rank's particles."""
+        return sum(population.nbytes for population in self.populations)
 
     def fields(self, names):
         """dict of this rank's rows of each named field, in the one global order: see state.fields.OUTPUT, `x` and `id`."""

@@ -8,7 +8,7 @@ step waits for it; what a particle may move meanwhile is covered by the padding.
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,10 @@ RUN_COST, REGROUP_COST = (
     75,
 )  # ns of one more run, and of a regroup per particle: estimates for one core of an AVX-512 Xeon
 MARGIN = 1.5  # growth of the largest speed that is allowed for between two reductions
-SPEED, WAVE, DRIFT, FAILED = range(4)  # what is reduced: max |v|^2, max c^2, max drift in cells, minus the failed step
+# What is reduced: max |v|^2, max c^2, max drift in cells, minus the failed step, and what a rank has been asked for.
+SPEED, WAVE, DRIFT, FAILED, REQUEST = range(5)
+NUMBERS = ("speed", "wave", "travel", "drift", "drift_travel", "regroup_travel")  # of StepControl, beside its counts
+COUNTS = ("begun", "regroup_step")
 
 
 @dataclass
@@ -31,6 +34,13 @@ class Pending:
     travel: float
     handle: Any = None
     values: Any = None
+
+
+class Counted(NamedTuple):
+    """What a count of disorder has found, over all ranks."""
+
+    runs: int
+    particles: int
 
 
 class Disorder:
@@ -58,12 +68,32 @@ class Disorder:
         """Whether a regroup before step number `step` pays."""
         if self.pending is not None and step > self.pending[0] + LAG:
             counted = self.pending[0]
-            runs, self.particles = map(int, self.comm.finish(self.pending[1]))
+            runs, self.particles = self.counted(*self.pending)
             self.pending = None
             if counted > self.step:
                 self.sorted_runs = runs if self.sorted_runs is None else self.sorted_runs
                 self.excess += EVERY * max(runs - self.sorted_runs, 0)
         return RUN_COST * self.excess > REGROUP_COST * self.particles
+
+    def counted(self, step, handle):
+        """(runs, particles) of the count on its way, started by `step`; waits for it."""
+        if not isinstance(handle, Counted):
+            handle = Counted(*map(int, self.comm.finish(handle)))
+            self.pending = step, handle
+        return handle
+
+    def state(self):
+        """What the next decisions depend on, as plain numbers. Collective."""
+        pending = None if self.pending is None else [self.pending[0], *self.counted(*self.pending)]
+        return {"step": self.step, "sorted_runs": self.sorted_runs, "excess": self.excess, "particles": self.particles,
+                "pending": pending}  # fmt: skip
+
+    def resume(self, state):
+        """Go on from what `state` gave."""
+        self.step, self.sorted_runs = state["step"], state["sorted_runs"]
+        self.excess, self.particles = state["excess"], state["particles"]
+        pending = state["pending"]
+        self.pending = None if pending is None else (pending[0], Counted(*pending[1:]))
 
 
 class StepControl:
@@ -77,7 +107,7 @@ class StepControl:
         self.disorder = Disorder(comm)
         self.travel = 0.0
         self.regrouped(0)
-        self.begun = 0
+        self.begun = self.asked = 0
         self.speed = self.wave = 0.0
 
     def begin(self, step, speed_squared, wave_squared):
@@ -133,6 +163,7 @@ class StepControl:
             return None
         arrived = self.pending.popleft()
         self.finish(arrived)
+        self.asked = max(self.asked, int(arrived.values[REQUEST]))
         if arrived.step > self.begun and np.isfinite(arrived.values[:DRIFT]).all():
             self.learn(arrived.values)
         if arrived.step > self.regroup_step:
@@ -149,6 +180,26 @@ class StepControl:
     def finish(self, reduction):
         if reduction.values is None:
             reduction.values = self.comm.finish(reduction.handle)
+
+    def state(self):
+        """What the next decisions depend on, as plain numbers, requests left out. Collective; nothing may have failed."""
+        for reduction in self.pending:
+            self.finish(reduction)
+        numbers = {name: float(getattr(self, name)) for name in NUMBERS} | {
+            name: getattr(self, name) for name in COUNTS
+        }
+        pending = [[r.step, r.travel, *map(float, r.values[:FAILED])] for r in self.pending]
+        return numbers | {"pending": pending, "disorder": self.disorder.state()}
+
+    def resume(self, state):
+        """Go on from what `state` gave."""
+        for name in (*NUMBERS, *COUNTS):
+            setattr(self, name, state[name])
+        self.pending = deque(
+            Pending(step, travel, values=np.array([*found, -math.inf, 0.0]))
+            for step, travel, *found in state["pending"]
+        )
+        self.disorder.resume(state["disorder"])
 
 
 def failed_step(reduction):

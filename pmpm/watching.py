@@ -5,6 +5,10 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+# What a simulation may be asked for while it runs, by urgency; above STOP: the number of the signal that asked.
+CHECKPOINT, OUT_OF_TIME, SIGNALLED = 1, 2, 10
+STOP = OUT_OF_TIME
+
 
 @dataclass
 class Observer:
@@ -14,6 +18,7 @@ class Observer:
     steps: int | None
     seconds: float | None
     count: int = 1
+    name: str | None = None
 
     def due(self, simulation):
         if self.steps is not None:

@@ -823,7 +823,7 @@ def g2p(
                 waves = max(
                     waves, where(live, stability.signal_speed_squared(state, params, density, inv_dx), real(0.0))
                 )
-                drifts = max(drifts, far)
+                drifts = max(drifts, where(live, far, 0))
                 block += 1
                 left -= 16
     restore_denormals(before)

@@ -177,3 +177,10 @@ def law_needs(model, keys):
     module = law_of(model)
     choices = tuple(sorted(module.choices(keys).items()))
     return LawNeeds(model, choices, tuple(module.state_fields(keys)))
+
+
+def labels(laws):
+    """A name per law: its model; laws of one model with different choices are told apart by a number."""
+    models = [law.model for law in laws]
+    repeats = [models[: number + 1].count(model) for number, model in enumerate(models)]
+    return [f"{model}_{n}" if n > 1 else model for model, n in zip(models, repeats, strict=True)]

@@ -37,6 +37,19 @@ class PlaceFormat:
         """Float64 offsets in cells; exact for float32 places."""
         return place * self.unit
 
+    def split(self, base, place):
+        """(node, part): the node below int64 places from base nodes, and the part of a cell from there as a float."""
+        whole = place >> self.fraction
+        return base + whole, self.to_cells(place - (whole << self.fraction))
+
+    def moved_from(self, other, place):
+        """Places of another format in this one, to the nearest."""
+        place = place.astype(np.int64)
+        if self.fraction >= other.fraction:
+            return (place << (self.fraction - other.fraction)).astype(self.integer)
+        fewer = other.fraction - self.fraction
+        return ((place + (1 << (fewer - 1))) >> fewer).astype(self.integer)
+
 
 FORMATS = {
     np.dtype("float32"): PlaceFormat(np.dtype(np.int32), 24),

@@ -7,12 +7,15 @@ from pmpm.output.run_directory import DIAGNOSTICS
 class Diagnostics:
     """Observer that appends step, time, dt and `simulation.measure()` to DIR/diagnostics.csv.
 
-    Numbers are written so that reading them gives the same bits. Every line is on disk when the call returns.
+    Numbers are written so that reading them gives the same bits. Every line is on disk when the call returns. `count`: lines so
+    far, those of the run that is continued among them, whose file may be another one.
     """
 
-    def __init__(self, directory):
+    def __init__(self, directory, count=0):
         self.path, self.comm = directory.path / DIAGNOSTICS, directory.comm
-        self.names: list[str] = []
+        self.count = count
+        goes_on = on_rank_zero(self.comm, lambda: count > 0 and self.path.exists())
+        self.names: list[str] = on_rank_zero(self.comm, lambda: header(self.path)) if goes_on else []
 
     def __call__(self, simulation):
         """Append one line. Collective; OutputError on all ranks if it cannot be written."""
@@ -29,6 +32,12 @@ class Diagnostics:
             return names
 
         self.names = on_rank_zero(self.comm, append)
+        self.count += 1
+
+
+def header(path):
+    with open(path, encoding="utf-8") as file:
+        return file.readline().strip().split(",")
 
 
 def as_text(name, value):

@@ -1,5 +1,6 @@
 """How output touches the disk: whole files or none, and a failure on one rank is the same failure on all."""
 
+import contextlib
 import json
 import math
 import os
@@ -46,6 +47,44 @@ def raise_together(comm, error):
     failures = [f"rank {rank}: {text}" if comm.size > 1 else text for rank, text in enumerate(told) if text is not None]
     if failures:
         raise OutputError(failures[0]) from error
+
+
+def failure_of(action):
+    """Run `action()` and return the exception it raised, or None."""
+    try:
+        action()
+    except Exception as error:
+        return error
+    return None
+
+
+def sync_file(path):
+    """Wait until what was written to a file is on the disk."""
+    descriptor = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_folder(path):
+    """Wait until renames in a folder are on the disk; what the file system cannot do is left."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except OSError:
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError:
+        pass
+    finally:
+        os.close(descriptor)
+
+
+def remove_quietly(path):
+    """Remove a file if that can be done: where a disk fails, what failed first is the message."""
+    with contextlib.suppress(OSError):
+        Path(path).unlink(missing_ok=True)
 
 
 def write_atomically(path, text):

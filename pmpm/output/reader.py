@@ -111,7 +111,7 @@ class Snapshot:
     @cached_property
     def attributes(self):
         """What the file says of itself: time, step, dt, title, dim, precision, materials."""
-        with open_snapshot(self.path) as file:
+        with reading(self.path) as file:
             told = {name: plain_attribute(value) for name, value in file["pmpm"].attrs.items()}
             check_attributes(told)
             return told
@@ -129,32 +129,32 @@ class Snapshot:
     @property
     def x(self):
         """(count, dim) positions in m."""
-        with open_snapshot(self.path) as file:
+        with reading(self.path) as file:
             return file["VTKHDF/Points"][:, : self.attributes["dim"]]
 
     @cached_property
     def fields(self):
         """Names of the particle fields in the file."""
-        with open_snapshot(self.path) as file:
+        with reading(self.path) as file:
             return sorted(file["VTKHDF/PointData"])
 
     @cached_property
     def laws(self):
         """{law: names of its own state in the file}."""
-        with open_snapshot(self.path) as file:
+        with reading(self.path) as file:
             return {law: sorted(group.keys()) for law, group in file["pmpm"].items()}
 
     def law_field(self, law, name):
         """A law's own state over that law's particles only, in the order of the file. KeyError if it is not in it."""
         if name not in self.laws.get(law, ()):
             raise KeyError(f"snapshot {self.path} holds no {law}/{name}; it holds {self.laws}")
-        with open_snapshot(self.path) as file:
+        with reading(self.path) as file:
             return file["pmpm"][law][name][...]
 
     def __getattr__(self, name):
         if name.startswith("_"):
             raise AttributeError(name)
-        with open_snapshot(self.path) as file:
+        with reading(self.path) as file:
             held = file["VTKHDF/PointData"]
             if name in held:
                 values = held[name][...]
@@ -166,9 +166,8 @@ class Snapshot:
         return f"Snapshot({str(self.path)!r})"
 
 
-@contextlib.contextmanager
 def open_snapshot(path):
-    """An open h5py file that is a snapshot of this format version; OutputError for anything else, and for what is damaged."""
+    """An open h5py file that is a snapshot of this format version; OutputError for anything else."""
     import h5py
 
     try:
@@ -176,12 +175,29 @@ def open_snapshot(path):
     except (OSError, ValueError, RuntimeError) as error:
         raise OutputError(f"{path} cannot be read as a snapshot: {error}") from error
     try:
-        with file:
-            check_version(file, path)
+        check_version(file, path)
+    except DAMAGES as error:
+        file.close()
+        raise OutputError(damage(path, error)) from error
+    except OutputError:
+        file.close()
+        raise
+    return file
+
+
+@contextlib.contextmanager
+def reading(path):
+    """A snapshot while it is being read: whatever does not fit, or cannot be read, raises OutputError."""
+    with open_snapshot(path) as file:
+        try:
             check_layout(file)
             yield file
-    except DAMAGES as error:
-        raise OutputError(f"{path} is damaged: {' '.join(str(error).split()) or type(error).__name__}") from error
+        except DAMAGES as error:
+            raise OutputError(damage(path, error)) from error
+
+
+def damage(path, error):
+    return f"{path} is damaged: {' '.join(str(error).split()) or type(error).__name__}"
 
 
 def check_version(file, path):
@@ -295,7 +311,7 @@ def table_in(record, name):
 
 def describe_snapshot(snapshot):
     told = snapshot.attributes
-    with open_snapshot(snapshot.path) as file:
+    with reading(snapshot.path) as file:
         fields = [f"  {name:<20} {kind_of(item)}" for name, item in sorted(file["VTKHDF/PointData"].items())]
         states = [
             f"  {law + '/' + name:<20} {kind_of(item)}, {len(item)} particles of {law}"

@@ -4,9 +4,11 @@ DIR/scene.toml       exactly what was run
 DIR/log.txt          every message of the run
 DIR/run.json         versions, hosts, ranks, status, and the report at the end
 DIR/run.lock         host and process of the run that writes here; gone when it has ended
-DIR/snapshots/, DIR/snapshots.xdmf, DIR/diagnostics.csv      written by their own files of this room
+DIR/snapshots/, DIR/snapshots.xdmf, DIR/checkpoints/, DIR/diagnostics.csv      written by their own files of this room
+DIR/failed.hdf       the state of a run that went wrong, as a snapshot
 """
 
+import contextlib
 import datetime
 import json
 import os
@@ -18,16 +20,25 @@ import time
 from importlib import metadata
 from pathlib import Path
 
-from pmpm.output.files import OutputError, explain, on_rank_zero, to_json, unfinished_name, write_atomically
+from pmpm.output.files import (
+    OutputError,
+    explain,
+    on_rank_zero,
+    remove_quietly,
+    to_json,
+    unfinished_name,
+    write_atomically,
+)
 
 FORMAT = "pmpm run"
 FORMAT_VERSION = 1
 SCENE, LOG, RECORD, LOCK = "scene.toml", "log.txt", "run.json", "run.lock"
-INDEX, DIAGNOSTICS, SNAPSHOTS = "snapshots.xdmf", "diagnostics.csv", "snapshots"
-OWN_FILES = (SCENE, LOG, INDEX, DIAGNOSTICS)
-OWN_FOLDERS = (SNAPSHOTS, "checkpoints")
+FAILED = "failed.hdf"
+INDEX, DIAGNOSTICS, SNAPSHOTS, CHECKPOINTS = "snapshots.xdmf", "diagnostics.csv", "snapshots", "checkpoints"
+OWN_FILES = (SCENE, LOG, INDEX, DIAGNOSTICS, FAILED)
+OWN_FOLDERS = (SNAPSHOTS, CHECKPOINTS)
 NUMBERED = re.compile(r"\d{6,}\.hdf")
-NUMBERED_OR_UNFINISHED = re.compile(r"\d{6,}\.hdf|\.\d{6,}\.hdf\.unfinished")
+OWN_NAMES = re.compile(r"\d{6,}\.(hdf|json)|\.\d{6,}\.(hdf|json)\.unfinished")
 VERSIONS_OF = ("pmpm", "numpy", "numba", "h5py", "mpi4py", "numba-cuda")
 
 
@@ -41,12 +52,13 @@ class RunDirectory:
         self.log_lost = False
 
     @classmethod
-    def create(cls, path, scene_toml, comm, overwrite=False):
+    def create(cls, path, scene_toml, comm, overwrite=False, beginning=None):
         """Take the folder `path` for a new run, write scene.toml and run.json and lock it. Collective.
 
         Raises OutputError, the same on all ranks and before anything is written, if the path is a file, cannot be
         written, holds a run (unless `overwrite`) or files that are not a run's, or if a live process is writing there.
-        `overwrite` removes what a run wrote and leaves everything else.
+        `overwrite` removes what a run wrote and leaves everything else. `beginning`: what run.json says of a restart from the
+        checkpoint of another folder.
         """
         hosts = comm.gather(socket.gethostname())
 
@@ -55,7 +67,9 @@ class RunDirectory:
             place.mkdir(parents=True, exist_ok=True)
             lock = take_lock(place)
             try:
-                record = opening_record(hosts)
+                record = opening_record(hosts) | ({"restarts": [beginning]} if beginning else {})
+                # A folder with the new record must not hold the old run's checkpoints.
+                remove_checkpoints(place)
                 # First, so that a folder left halfway from here on is still known as a run's.
                 write_atomically(place / RECORD, to_json(record))
                 remove_run(place)
@@ -67,6 +81,45 @@ class RunDirectory:
 
         place, record, lock = on_rank_zero(comm, prepare)
         return cls(Path(place), comm, record, lock)
+
+    @classmethod
+    def resume(cls, path, scene_toml, comm, beginning, outputs, discarded=()):
+        """Take the folder `path` of a run to go on with it. Collective. OutputError as for `create`.
+
+        `beginning`: what run.json says of this restart. What was written after the checkpoint goes: snapshots beyond
+        `outputs["snapshots"]` and lines of diagnostics beyond `outputs["diagnostics"]`, for they come again, and the
+        checkpoints with numbers in `discarded`.
+        """
+        hosts = comm.gather(socket.gethostname())
+
+        def prepare():
+            place = Path(os.path.abspath(path))
+            check_writable(place)
+            lock = take_lock(place)
+            try:
+                before = read_record(place) or {}
+                record = opening_record(hosts)
+                earlier = [*before.get("restarts", []), beginning | {"at": record["started"], "ranks": len(hosts)}]
+                record["started"] = before.get("started", record["started"])
+                remove_checkpoints(place, discarded)
+                remove_unfinished(place)
+                for snapshot in snapshot_files(place):
+                    if int(snapshot.stem) >= outputs.get("snapshots", 0):
+                        snapshot.unlink()
+                lost = keep_lines(place / DIAGNOSTICS, outputs.get("diagnostics", 0))
+                (place / FAILED).unlink(missing_ok=True)
+                write_atomically(place / SCENE, scene_toml)
+                write_atomically(place / RECORD, to_json(record | {"restarts": earlier}))
+            except BaseException:
+                release_lock(place, lock)
+                raise
+            return str(place), record | {"restarts": earlier}, lock, lost
+
+        place, record, lock, lost = on_rank_zero(comm, prepare)
+        directory = cls(Path(place), comm, record, lock)
+        if lost:
+            directory.log(f"{DIAGNOSTICS} has lost {lost} lines that it had at the checkpoint")
+        return directory
 
     def log(self, message):
         """Append a message to log.txt, with the time of day. Rank 0 writes, the others do nothing; not collective.
@@ -100,9 +153,12 @@ class RunDirectory:
         try:
             write_atomically(self.path / RECORD, to_json(self.record))
         except OSError as error:
-            raise OutputError(f"{self.path / RECORD} cannot be written: {explain(error)}") from error
+            # Not raised: whatever ended the run is the message, and one rank alone knows of this.
+            remove_quietly(unfinished_name(self.path / RECORD))
+            print(f"pmpm: {self.path / RECORD} cannot be written: {explain(error)}", file=sys.stderr)
         finally:
-            release_lock(self.path, self.lock)
+            with contextlib.suppress(OSError):
+                release_lock(self.path, self.lock)
 
 
 def check_new(path, overwrite):
@@ -130,9 +186,8 @@ def check_new(path, overwrite):
         )
     elif not overwrite:
         raise OutputError(
-            f"{place} holds an unfinished run (status: {read_status(place)}): restart, to continue "
-            "it, is not built yet; give another output folder (--out DIR), or --overwrite to start anew "
-            "(overwrite=True in Python)"
+            f"{place} holds an unfinished run (status: {read_status(place)}): --restart {path} continues it; else give "
+            "another output folder (--out DIR), or --overwrite to start anew (overwrite=True in Python)"
         )
     return place
 
@@ -158,10 +213,40 @@ def remove_run(place):
         if not folder.is_dir():
             continue
         for entry in folder.iterdir():
-            if NUMBERED_OR_UNFINISHED.fullmatch(entry.name):
+            if OWN_NAMES.fullmatch(entry.name):
                 entry.unlink()
         if not folder.is_symlink() and not any(folder.iterdir()):
             folder.rmdir()
+
+
+def remove_checkpoints(place, numbers=None):
+    """Delete checkpoints of a run, all or those with these numbers: manifests first, so that none is half there."""
+    folder = place / CHECKPOINTS
+    for ending in ("json", "hdf"):
+        for entry in sorted(folder.glob(f"*.{ending}")):
+            if OWN_NAMES.fullmatch(entry.name) and (numbers is None or int(entry.stem) in numbers):
+                entry.unlink()
+
+
+def remove_unfinished(place):
+    """Delete files that a process was writing when it died."""
+    for folder in (place, *(place / name for name in OWN_FOLDERS)):
+        for entry in folder.iterdir() if folder.is_dir() else ():
+            if entry.name.startswith(".") and entry.name.endswith(".unfinished"):
+                entry.unlink()
+
+
+def keep_lines(path, count):
+    """Cut a file of lines after its head and `count` lines; returns how many are missing."""
+    if count == 0 or not path.exists():
+        path.unlink(missing_ok=True)
+        return count
+    lines = path.read_bytes().splitlines(keepends=True)
+    whole = [line for line in lines[: count + 1] if line.endswith(b"\n")]
+    if len(whole) < len(lines):
+        unfinished_name(path).write_bytes(b"".join(whole))
+        os.replace(unfinished_name(path), path)
+    return count + 1 - len(whole)
 
 
 def opening_record(hosts):

@@ -8,13 +8,26 @@ tells how many ranks wrote it.
 
 import os
 import socket
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from xxhash import xxh3_64
 
-from pmpm.output.files import OutputError, on_rank_zero, raise_together, unfinished_name, write_atomically
-from pmpm.output.run_directory import INDEX, SNAPSHOTS
+from pmpm.output.files import (
+    OutputError,
+    failure_of,
+    on_rank_zero,
+    raise_together,
+    remove_quietly,
+    sync_file,
+    unfinished_name,
+    write_atomically,
+)
+from pmpm.output.run_directory import FAILED, INDEX, SNAPSHOTS, snapshot_files
 from pmpm.physics.materials import LAWS
 
 FORMAT_VERSION = 1
@@ -37,15 +50,18 @@ class SnapshotWriter:
 
     `fields` are the names to write beside `id` (default: scene.output.fields). `parallel`: how several ranks write one
     file, "mpio" (collective MPI-IO, needs an h5py built with MPI; the default where it is) or "pwrite" (rank 0 lays
-    the file out, every rank writes its bytes into it).
+    the file out, every rank writes its bytes into it). `first`: the number of the next one, where a run goes on.
     """
 
-    def __init__(self, directory, scene, fields=None, parallel=None):
+    def __init__(self, directory, scene, fields=None, parallel=None, first=0):
         self.directory, self.scene, self.comm = directory, scene, directory.comm
         self.names = list(scene.output.fields if fields is None else fields)
         self.parallel = parallel or default_parallel(self.comm)
+        self.count = first
         self.entries: list[str] = []
         on_rank_zero(self.comm, lambda: (directory.path / SNAPSHOTS).mkdir(exist_ok=True))
+        if first > 0:
+            self.entries = on_rank_zero(self.comm, lambda: entries_on_disk(directory.path, self.names))
         hosts = set(self.comm.gather(socket.gethostname()))
         if self.parallel == "pwrite" and len(hosts) > 1:
             directory.log(
@@ -55,20 +71,45 @@ class SnapshotWriter:
 
     def __call__(self, simulation):
         """Write one snapshot of `simulation`. Collective; OutputError on all ranks if any rank fails."""
-        path = self.directory.path / SNAPSHOTS / f"{len(self.entries):06d}.hdf"
-        pieces, failure = {}, None
-        try:
-            pieces = collect(simulation, self.scene, self.names)
-        except Exception as error:
-            failure = error
-        raise_together(self.comm, failure)
+        path = self.directory.path / SNAPSHOTS / f"{self.count:06d}.hdf"
+        pieces: dict = {}
+        raise_together(self.comm, failure_of(lambda: pieces.update(collect(simulation, self.scene, self.names))))
         first, count = self.comm.offsets(simulation.rows())
         pieces = topology(self.comm, first, simulation.rows(), count) | pieces
-        attributes = snapshot_attributes(simulation, self.scene)
-        shapes = write_datasets(self.comm, path, pieces, attributes, self.parallel)
+        attributes = snapshot_attributes(self.scene, simulation.time, simulation.step_count, simulation.dt)
+        shapes, _ = write_datasets(self.comm, path, pieces, attributes, self.parallel)
         self.entries.append(index_entry(path, simulation.time, shapes))
+        self.count += 1
         text = index_text(self.scene.title, self.entries)
         on_rank_zero(self.comm, lambda: write_atomically(self.directory.path / INDEX, text))
+
+
+def write_failed(directory, simulation, message):
+    """Write the state of a run that has failed as a snapshot marked bad, DIR/failed.hdf; returns its path. Collective."""
+    comm, scene = directory.comm, simulation.scene
+    pieces: dict = {}
+    raise_together(comm, failure_of(lambda: pieces.update(collect(simulation, scene, list(scene.output.fields)))))
+    first, count = comm.offsets(simulation.rows())
+    attributes = snapshot_attributes(scene, simulation.time, simulation.step_count, simulation.dt)
+    attributes["pmpm"]["failure"] = message
+    pieces = topology(comm, first, simulation.rows(), count) | pieces
+    write_datasets(comm, directory.path / FAILED, pieces, attributes, default_parallel(comm))
+    return directory.path / FAILED
+
+
+def entries_on_disk(place, names):
+    """Entries of the index for the snapshots that a run has left in its folder, fields in the order of `names`."""
+    from pmpm.output.reader import open_snapshot
+
+    entries = []
+    for path in snapshot_files(place):
+        with open_snapshot(path) as file:
+            fields = {f"VTKHDF/PointData/{name}": None for name in ["id", *names]}
+            fields |= {f"VTKHDF/PointData/{name}": None for name in file["VTKHDF/PointData"]}
+            wanted = ["VTKHDF/Points", "VTKHDF/Connectivity", *fields]
+            shapes = {name: (file[name].shape, file[name].dtype) for name in wanted if name in file}
+            entries.append(index_entry(path, file["pmpm"].attrs["time"], shapes))
+    return entries
 
 
 def default_parallel(comm):
@@ -126,15 +167,15 @@ def topology(comm, first, rows, count):
     }
 
 
-def snapshot_attributes(simulation, scene):
+def snapshot_attributes(scene, time, step, dt):
     """Attributes of the file's two groups. Text has a fixed length: VTK wants that of Type, and parallel HDF5."""
     return {
         "VTKHDF": {"Version": np.array([1, 0], np.int64), "Type": np.bytes_("UnstructuredGrid")},
         "pmpm": {
             "format_version": np.int64(FORMAT_VERSION),
-            "time": np.float64(simulation.time),
-            "step": np.int64(simulation.step_count),
-            "dt": np.float64(simulation.dt),
+            "time": np.float64(time),
+            "step": np.int64(step),
+            "dt": np.float64(dt),
             "title": scene.title or "",
             "dim": np.int64(scene.dim),
             "precision": scene.method.precision,
@@ -143,38 +184,54 @@ def snapshot_attributes(simulation, scene):
     }
 
 
-def write_datasets(comm, path, pieces, attributes, parallel):
+@dataclass(frozen=True)
+class Later:
+    """Rows of a dataset that are made when they are written: what a checkpoint holds would else be there twice at once."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    make: Callable[[], np.ndarray]
+
+
+def made(rows):
+    """Rows of a dataset as a contiguous array of the byte order of the file."""
+    rows = np.asarray(rows.make() if isinstance(rows, Later) else rows)
+    return np.ascontiguousarray(rows, rows.dtype.newbyteorder("<"))
+
+
+def write_datasets(comm, path, pieces, attributes, parallel, durable=False):
     """Write one HDF5 file of contiguous datasets whose rows are the ranks' `pieces`, rank after rank. Collective.
 
-    `pieces` is {dataset path: array}, `attributes` {group: {name: value}}; datasets get the unit that goes with their
-    name. The file appears at `path` whole or not at all. Returns {dataset path: (shape, dtype)}. A rank may have no
-    rows, or lack a dataset that another rank has. OutputError on all ranks if any fails.
+    `pieces` is {dataset path: array or Later}, `attributes` {group: {name: value}}; datasets get the unit that goes with their
+    name. The file appears at `path` whole or not at all; `durable`: not before it is on the disk. Returns {dataset path:
+    (shape, dtype)} and, if durable, {dataset path: (bytes, checksum)} of this rank's rows. A rank may have no rows, or lack a
+    dataset that another rank has. OutputError on all ranks if any fails.
     """
-    pieces = {name: little_endian(rows) for name, rows in pieces.items()}
     shapes, starts = join_pieces(comm, pieces)
     units = UNITS | {field.name: field.unit for law in LAWS.values() for field in law.STATE}
     named = {name: name.rpartition("/")[2] for name in shapes}
     attributes = attributes | {name: {"unit": units[last]} for name, last in named.items() if last in units}
     unfinished = unfinished_name(path)
     write = write_mpio if parallel == "mpio" and comm.size > 1 else write_pwrite
+    sums: dict[str, tuple[int, int]] | None = {} if durable else None
     try:
-        write(comm, unfinished, pieces, shapes, starts, attributes)
+        write(comm, unfinished, pieces, shapes, starts, attributes, sums)
     except OutputError as error:
         if comm.rank == 0:
-            unfinished.unlink(missing_ok=True)
-        raise OutputError(f"snapshot {path} cannot be written: {error}") from error
+            remove_quietly(unfinished)
+        raise OutputError(f"{path} cannot be written: {error}") from error
     on_rank_zero(comm, lambda: os.replace(unfinished, path))
-    return shapes
+    return shapes, sums
 
 
-def little_endian(rows):
-    rows = np.asarray(rows)
-    return np.ascontiguousarray(rows, rows.dtype.newbyteorder("<"))
+def note_checksum(sums, name, rows):
+    if sums is not None and rows.size:
+        sums[name] = rows.nbytes, xxh3_64(memoryview(rows).cast("B")).intdigest()
 
 
 def join_pieces(comm, pieces):
     """({path: (shape over all ranks, dtype)}, {path: first row of this rank}); OutputError if pieces do not fit."""
-    told = comm.gather({name: (rows.shape, rows.dtype.str) for name, rows in pieces.items()})
+    told = comm.gather({name: (rows.shape, rows.dtype.newbyteorder("<").str) for name, rows in pieces.items()})
     shapes, starts = {}, {}
     for name in dict.fromkeys(name for rank in told for name in rank):
         kinds = {(rank[name][0][1:], rank[name][1]) for rank in told if name in rank}
@@ -187,10 +244,12 @@ def join_pieces(comm, pieces):
     return shapes, starts
 
 
-def write_pwrite(comm, path, pieces, shapes, starts, attributes):
+def write_pwrite(comm, path, pieces, shapes, starts, attributes, sums):
     """Rank 0 lays the file out, then every rank writes its bytes to their place: parallel with an h5py without MPI.
 
-    Needs contiguous datasets of a fixed byte order, and rank 0 done with the file before the others open it.
+    Needs contiguous datasets of a fixed byte order, and rank 0 done with the file before the others open it. What one dataset
+    needs to be made and the writing of the one before it go on at once. `sums`: see `write_datasets`; None for no checksums
+    and no waiting for the disk.
     """
 
     def lay_out():
@@ -203,19 +262,33 @@ def write_pwrite(comm, path, pieces, shapes, starts, attributes):
             return {name: dataset.id.get_offset() for name, dataset in datasets.items()}
 
     places = on_rank_zero(comm, lay_out)
-    failure = None
-    try:
+
+    def write_one(descriptor, rows, place):
+        write_bytes(descriptor, rows, place)
+        if sums is not None:
+            os.fsync(descriptor)
+
+    def write_rows():
         descriptor = os.open(path, os.O_WRONLY)
         try:
-            for name, rows in pieces.items():
-                if rows.size:
-                    row_bytes = rows.dtype.itemsize * int(np.prod(rows.shape[1:], dtype=np.int64))
-                    write_bytes(descriptor, rows, places[name] + starts[name] * row_bytes)
+            with ThreadPoolExecutor(max_workers=1) as writer:
+                before = None
+                for name, piece in pieces.items():
+                    rows = made(piece)
+                    note_checksum(sums, name, rows)
+                    if before is not None:
+                        before.result()
+                    if rows.size:
+                        place = starts[name] * (rows.nbytes // len(rows)) + places[name]
+                        before = writer.submit(write_one, descriptor, rows, place)
+                if before is not None:
+                    before.result()
+            if sums is not None:
+                os.fsync(descriptor)  # of what rank 0 has laid out, too
         finally:
             os.close(descriptor)
-    except Exception as error:
-        failure = error
-    raise_together(comm, failure)
+
+    raise_together(comm, failure_of(write_rows))
 
 
 def write_bytes(descriptor, rows, place):
@@ -228,7 +301,7 @@ def write_bytes(descriptor, rows, place):
         waiting, place = waiting[written:], place + written
 
 
-def write_mpio(comm, path, pieces, shapes, starts, attributes):
+def write_mpio(comm, path, pieces, shapes, starts, attributes, sums):
     """All ranks write through HDF5 and MPI-IO, collectively: needs an h5py built with MPI."""
     import h5py
 
@@ -243,7 +316,8 @@ def write_mpio(comm, path, pieces, shapes, starts, attributes):
                 shape, dtype = shapes[name]
                 if not np.prod(shape, dtype=np.int64):
                     continue
-                rows = pieces.get(name, np.empty((0, *shape[1:]), dtype))
+                rows = made(pieces.get(name, np.empty((0, *shape[1:]), dtype)))
+                note_checksum(sums, name, rows)
                 here, there = h5py.h5s.create_simple((max(len(rows), 1), *shape[1:])), dataset.id.get_space()
                 # A rank without rows must still take part, with nothing selected.
                 if len(rows):
@@ -252,6 +326,8 @@ def write_mpio(comm, path, pieces, shapes, starts, attributes):
                     here.select_none()
                     there.select_none()
                 dataset.id.write(here, there, rows, dxpl=transfer)
+        if sums is not None:
+            sync_file(path)
     except Exception as error:
         failure = error
     raise_together(comm, failure)

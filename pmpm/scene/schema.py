@@ -19,7 +19,7 @@ from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_err
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import record
 from pmpm.scene.shapes import AXES, Shape, wrong_length
-from pmpm.scene.values import check_word, choice, flag, names, number, tables, text, vector, whole
+from pmpm.scene.values import CONTROLS, check_word, choice, flag, names, number, tables, text, vector, whole
 from pmpm.state.fields import Field as StoredField
 
 WALLS = ("stick", "slip", "separate", "friction", "free")
@@ -29,6 +29,7 @@ CFL = 0.4
 DEPTHS = 16  # at which a stress is tried
 FLIP_BLEND = 0.99
 SNAPSHOTS, DIAGNOSTICS = 50, 200
+WALL_INTERVAL = 1800.0
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
 ROUNDING = 1e-9
 MOST_CELLS = 2**31
@@ -254,7 +255,6 @@ class Body(Part):
 class Output(Part):
     """What is written, and how often."""
 
-    PLANNED: ClassVar[tuple[str, ...]] = ("checkpoint_interval",)
     snapshot_interval: Annotated[float, number("s", above=0.0)] = Field(
         default=LATER, description=f"between snapshots, end/{SNAPSHOTS} if not given (s)"
     )
@@ -264,6 +264,24 @@ class Output(Part):
     fields: Annotated[tuple[str, ...], names()] = Field(
         default=("velocity", "pressure", "material"), description="particle fields in a snapshot"
     )
+    checkpoint_interval: Annotated[float | None, number("s", above=0.0)] = Field(
+        default=None, description="between checkpoints in simulated time, none if not given (s)"
+    )
+    checkpoint_wall_interval: Annotated[float, number("s", at_least=0.0)] = Field(
+        default=WALL_INTERVAL, description="between checkpoints by the clock on the wall, 0 for none (s)"
+    )
+    checkpoint_keep: Annotated[int, whole(1, 1_000_000)] = Field(
+        default=2, description="how many checkpoints are kept; older ones are deleted"
+    )
+
+
+class Guard(Part):
+    """What is kept for the case that the run goes wrong."""
+
+    keep_copy: Annotated[bool, flag()] = Field(
+        default=False, description="keep a copy of the state in memory, written as a checkpoint if the run fails"
+    )
+    interval: Annotated[int, whole(1, 1_000_000)] = Field(default=100, description="steps between copies")
 
 
 def material_table(value: Any) -> Any:
@@ -273,6 +291,9 @@ def material_table(value: Any) -> Any:
         raise Problems(Problem((), "must have at least one material"))
     if "" in value:
         raise Problems(Problem(("",), "must have a name"))
+    odd = [name for name in value if CONTROLS.search(name)]
+    if odd:
+        raise Problems(*(Problem((name,), "must hold no control characters") for name in odd))
     return dict(value)
 
 
@@ -298,11 +319,16 @@ class Scene(Part):
         default=(), description="one table [[motions]] for each region of the grid that moves as told"
     )
     output: Output = Field(default=Output(), description="table of what is written")
+    guard: Guard = Field(default=Guard(), description="table of what is kept for the case that the run goes wrong")
 
     @classmethod
     def from_text(cls, text: str, source: str = "scene", overrides: Mapping[str, Any] | None = None) -> "Scene":
         """Read a scene from TOML text; `source` is what messages call it, `overrides` are dotted keys and values."""
-        table = files.parse_toml(text, source)
+        return cls.from_table(files.parse_toml(text, source), source, overrides)
+
+    @classmethod
+    def from_table(cls, table: dict[str, Any], source: str, overrides: Mapping[str, Any] | None = None) -> "Scene":
+        """Read a scene from the nested tables of a TOML text, which overrides change in place."""
         overridden = files.override(table, overrides or {}, source)
         try:
             return cls.model_validate(table)

@@ -1,7 +1,8 @@
 """The particles of one law on one rank: blocks of 16 for the kernels, plain rows for those that travel.
 
 A `Population` is ordered by (layer, table row, cell) and lies in segments of blocks, see kernels.loops. A `Cloud` is rows in
-any order. `assemble` makes the one from what stayed and what arrived.
+any order. `assemble` makes the one from what stayed and what arrived. `Ordered` is rows in order, with what it takes to make
+the very same Population of them again, on any ranks.
 """
 
 from dataclasses import dataclass
@@ -12,6 +13,34 @@ from pmpm.kernels.places import FORMATS
 from pmpm.kernels.sorting import SEGMENT_COLUMNS
 
 LANES = 16
+
+
+@dataclass
+class Ordered:
+    """A law's particles as rows in their order: reals (n, size), the places as integers from the base nodes of the segments;
+    id (n,) int64; segments (m, 5) int64, each (layer, particles, table row, base along middle, base along row)."""
+
+    reals: np.ndarray
+    id: np.ndarray
+    segments: np.ndarray
+
+    def __len__(self):
+        return len(self.id)
+
+    @property
+    def places(self):
+        """(n, size) the same memory as integers."""
+        return self.reals.view(FORMATS[self.reals.dtype].integer)
+
+    def bases(self, axes):
+        """(n, dim) int64 base node of each particle."""
+        return np.repeat(segment_bases(self.segments[:, 0], self.segments, axes), self.segments[:, 1], axis=0)
+
+
+def segment_bases(layer, segments, axes):
+    """(m, dim) base node of each segment, from its layer."""
+    columns = {axes[0]: layer} | {axis: segments[:, k] for k, axis in ((3, axes[1]), (4, axes[2])) if axis >= 0}
+    return np.stack([columns[axis] for axis in sorted(columns)], axis=-1)
 
 
 @dataclass
@@ -117,12 +146,65 @@ class Population:
     @property
     def block_layer(self):
         """(blocks,) global layer of each block."""
-        layer = self.first_layer + np.repeat(np.arange(len(self.layer_start) - 1), np.diff(self.layer_start))
-        return layer[self.block_segment]
+        return self.segment_layer[self.block_segment]
 
     def rows(self, fields):
         """(n, k) the reals `fields` (a slice) of every particle, in the one global order of this law."""
         return self.reals[:, fields].transpose(0, 2, 1)[self.lanes]
+
+    @property
+    def segment_layer(self):
+        """(segments,) global layer of each segment."""
+        return self.first_layer + np.repeat(np.arange(len(self.layer_start) - 1), np.diff(self.layer_start))
+
+    def copy(self):
+        return Population(
+            self.reals.copy(), self.id.copy(), self.segments.copy(), self.layer_start.copy(), self.first_layer
+        )
+
+    def unpacked(self, kernels, fields, columns=None):
+        """`rows` of some fields (a slice) by a kernel, with zeros beside them up to `columns`."""
+        count = fields.stop - fields.start
+        rows = np.zeros((len(self), columns or count), self.reals.dtype)
+        kernels.take_rows(self.places, self.segments, fields.start, count, rows.view(self.places.dtype))
+        return rows
+
+    def ids(self, kernels):
+        """(n,) ids, in order."""
+        rows = np.empty((len(self), 1), np.int64)
+        kernels.take_rows(self.id.reshape(len(self.id), 1, LANES), self.segments, 0, 1, rows)
+        return rows[:, 0]
+
+    def points(self, kernels, axes, cell_size):
+        """(n, 3) positions in m, in the precision of the reals."""
+        form = FORMATS[self.reals.dtype]
+        x = np.zeros((len(self), 3), self.reals.dtype)
+        kernels.take_positions(
+            self.places, self.segments, self.segment_layer, np.array(axes), form.fraction, form.unit, cell_size, x
+        )
+        return x
+
+    def segment_table(self):
+        """(segments, 5) as `Ordered` has them."""
+        return np.concatenate([self.segment_layer[:, None], self.segments[:, 1:]], axis=1)
+
+    @classmethod
+    def of_ordered(cls, ordered, first_layer, layers, rest, dim):
+        """The Population that gave these rows by `ordered`, in layers of a rank. `rest` as for `assemble`."""
+        segments = ordered.segments.copy()
+        counts = segments[:, 1]
+        blocks = -(-counts // LANES)
+        segments[:, 0] = np.cumsum(blocks) - blocks
+        first_row, of_block = np.cumsum(counts) - counts, np.repeat(np.arange(len(segments)), blocks)
+        in_segment = LANES * (np.arange(len(of_block)) - segments[of_block, 0])[:, None] + np.arange(LANES)
+        fills = in_segment >= counts[of_block, None]
+        source = first_row[of_block, None] + np.minimum(in_segment, counts[of_block, None] - 1)
+        reals = np.ascontiguousarray(ordered.reals[source].transpose(0, 2, 1))
+        ids = np.where(fills, -1, ordered.id[source])
+        block, lane = np.nonzero(fills)
+        reals[block, dim:, lane] = rest[dim:]
+        layer_start = np.searchsorted(ordered.segments[:, 0] - first_layer, np.arange(layers + 1))
+        return cls(reals, ids, segments, layer_start, first_layer)
 
     def set_rows(self, fields, values):
         """Write back what `rows` gave."""
@@ -130,21 +212,15 @@ class Population:
         self.reals[block, fields, lane] = values
 
     def per_particle(self, per_block):
-        """(n,) a per-block array, repeated for the particles of each block."""
-        return np.repeat(per_block, self.block_count)
+        """(n, ...) a per-block array, repeated for the particles of each block."""
+        return np.repeat(per_block, self.block_count, axis=0)
 
     def cells(self, axes):
         """(node, part): per particle and physical axis the node below and the part of a cell from it, int64 and float64."""
         dim = 2 if axes[1] < 0 else 3
-        form = FORMATS[self.reals.dtype]
+        bases = segment_bases(self.segment_layer, self.segments, axes)[self.block_segment]
         place = self.places[:, :dim].transpose(0, 2, 1)[self.lanes].astype(np.int64)
-        base = np.empty_like(place)
-        base[:, axes[0]] = self.per_particle(self.block_layer)
-        for column, axis in ((3, axes[1]), (4, axes[2])):
-            if axis >= 0:
-                base[:, axis] = self.per_particle(self.segments[self.block_segment, column])
-        whole = place >> form.fraction
-        return base + whole, form.to_cells(place - (whole << form.fraction))
+        return FORMATS[self.reals.dtype].split(self.per_particle(bases), place)
 
     def at(self, node, place):
         """The particles as a Cloud, in order, at other places (n, dim) from these nodes (n, dim)."""

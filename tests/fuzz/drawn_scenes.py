@@ -89,8 +89,8 @@ def scenes(draw, row=None, telling=0):
         table["loads"] = draw(st.lists(load(bodies, dim), min_size=1, max_size=2))
     if draw(st.booleans()):
         table["motions"] = [draw(motion(cells, h)) for _ in range(draw(st.integers(0, 2)))]
-    if "guard" in Scene.model_fields:
-        table["guard"] = {"keep_copy": draw(st.booleans())}
+    if draw(st.booleans()):
+        table["guard"] = {"keep_copy": draw(st.booleans()), "interval": draw(st.sampled_from((1, 2, 100)))}
     return pruned(table)
 
 
@@ -264,15 +264,14 @@ def motion(draw, cells, h):
 def output(draw, materials, h):
     made = [make_material(table) for table in materials.values()]
     states = {field.name for m in made for field in law_of(m.model).state_fields(m.parameters)} - set(FIELDS)
-    table = {
+    return {
         "snapshot_interval": draw(maybe(st.sampled_from((h * 1e-3, h, 1e9)))),
         "diagnostics_interval": draw(maybe(st.sampled_from((h * 1e-3, h, 1e9)))),
         "fields": draw(maybe(st.lists(st.sampled_from((*FIELDS, *sorted(states))), unique=True, max_size=4))),
         "checkpoint_interval": draw(maybe(st.sampled_from((h * 1e-2, h)))),
-        "checkpoint_wall_interval": draw(maybe(st.just(60))),
+        "checkpoint_wall_interval": draw(maybe(st.sampled_from((0, 60)))),
         "checkpoint_keep": draw(maybe(st.integers(1, 3))),
     }
-    return {key: value for key, value in table.items() if key in Scene.model_fields["output"].annotation.model_fields}
 
 
 # ---- which keys are in a scene ---------------------------------------------------------------------------------------------

@@ -532,6 +532,23 @@ BROKEN = [
     ),
     ("field twice", change(SNAPSHOT, 'fields = ["J", "J"]'), ['output.fields[1] = "J"', "twice"]),
     ("state of another law", solid("[time]", '[output]\nfields = ["v_c"]\n[time]'), ['output.fields[0] = "v_c"']),
+    (
+        "no time between checkpoints",
+        change(SNAPSHOT, "checkpoint_interval = 0.0"),
+        ["output.checkpoint_interval = 0.0 must be a number > 0"],
+    ),
+    (
+        "checkpoints every minus a minute",
+        change(SNAPSHOT, "checkpoint_wall_interval = -60.0"),
+        ["output.checkpoint_wall_interval = -60.0 must be a number", ">= 0"],
+    ),
+    (
+        "no checkpoint kept",
+        change(SNAPSHOT, "checkpoint_keep = 0"),
+        ["output.checkpoint_keep = 0 must be a whole number from 1 to 1000000"],
+    ),
+    ("copy as word", GOOD + '[guard]\nkeep_copy = "yes"\n', ["guard.keep_copy", "true or false"]),
+    ("no steps between copies", GOOD + "[guard]\ninterval = 0\n", ["guard.interval = 0 must be a whole number"]),
     ("title as number", change('title = "good"', "title = 3"), ["title = 3", "text in quotes"]),
 ]
 
@@ -539,10 +556,5 @@ NOT_BUILT = [
     ("open wall", change('x_min = "slip"', 'x_min = "open"'), ['domain.walls.x_min = "open" is not built yet']),
     ("mesh", change('"box"', '"mesh"'), ['bodies[0].shape.type = "mesh" is not built yet']),
     ("colliders", GOOD + '[[colliders]]\ntype = "plane"\n', ["colliders = ", "is not built yet"]),
-    (
-        "checkpoints",
-        change(SNAPSHOT, "checkpoint_interval = 0.2"),
-        ["output.checkpoint_interval = 0.2 is not built yet"],
-    ),
 ]
 BROKEN += NOT_BUILT

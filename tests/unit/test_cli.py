@@ -89,7 +89,7 @@ def test_a_command_that_is_not_built_says_so(command, capsys):
     assert f"pmpm {command} is not built yet" in refused([command, "x"], capsys)
 
 
-@pytest.mark.parametrize("option", [["--restart", "x"], ["--backend", "cuda"], ["--threads", "2"]])
+@pytest.mark.parametrize("option", [["--backend", "cuda"], ["--threads", "2"]])
 def test_an_option_that_is_not_built_says_so(option, scene_file, capsys):
     assert "is not built yet" in refused(["run", "drop.toml", *option], capsys)
 

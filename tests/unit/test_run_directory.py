@@ -139,7 +139,9 @@ def test_an_unfinished_run_is_refused_saying_what_to_do(tmp_path, status):
         directory.finish(status)
     leave_lock(tmp_path, dead_process())
     expected = "interrupted" if status == "running" else "stopped"
-    with pytest.raises(OutputError, match=rf"unfinished run \(status: {expected}\).*restart.*not built.*--overwrite"):
+    with pytest.raises(
+        OutputError, match=rf"unfinished run \(status: {expected}\).*--restart.*continues it.*--overwrite"
+    ):
         create(tmp_path)
 
 

@@ -1,0 +1,134 @@
+"""What is asked of a run from outside while it runs: signals to any rank, and the clock on the wall of rank 0.
+
+A rank only notes it; `Simulation.ask` lets all ranks agree, so that all stop, or write, after the same step.
+"""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import threading
+import time as clock
+
+from pmpm.scene.errors import SceneError
+from pmpm.watching import CHECKPOINT, OUT_OF_TIME, SIGNALLED
+
+STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
+CHECKPOINTING = signal.SIGUSR2
+FORMS = "HH:MM, HH:MM:SS or D-HH:MM:SS"
+FIRST_BANDWIDTH = 1e8  # bytes/s, a slow disk, for the checkpoint that no earlier one tells of
+MARGIN_STEPS, MARGIN_CHECKPOINTS, MARGIN_SECONDS = 6, 2, 2.0  # what is left of the wall time when a run stops
+
+
+class Requests:
+    """Observer, called after every step, that passes on what this rank has been asked for.
+
+    `deadline`: when the wall time is over, on time.time()'s clock, or None; `interval`: s by the clock between checkpoints,
+    0 for none. Clocks are rank 0's alone.
+    """
+
+    def __init__(self, comm, deadline=None, interval=0.0):
+        self.is_timekeeper = comm.rank == 0
+        self.deadline, self.interval = deadline, interval
+        self.pending = 0
+        self.last_checkpoint = self.last_step = clock.monotonic()
+        self.longest_step = 0.0
+        self.longest_checkpoint: float | None = None
+
+    @contextlib.contextmanager
+    def listening(self):
+        """Take signals as requests meanwhile; a second SIGINT ends the process at once."""
+        if threading.current_thread() is not threading.main_thread():
+            yield self
+            return
+        before = {number: signal.signal(number, self.note) for number in (*STOPPING, CHECKPOINTING)}
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def note(self, number, frame):
+        if number == signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+        self.pending = max(self.pending, CHECKPOINT if number == CHECKPOINTING else SIGNALLED + number)
+
+    def __call__(self, simulation):
+        if self.is_timekeeper:
+            self.look_at_clock(simulation)
+        if self.pending:
+            simulation.ask(self.pending)
+            self.pending = 0
+
+    def look_at_clock(self, simulation):
+        now = clock.monotonic()
+        self.longest_step = max(self.longest_step, now - self.last_step)
+        self.last_step = now
+        if self.deadline is not None and clock.time() + self.margin(simulation) >= self.deadline:
+            self.pending = max(self.pending, OUT_OF_TIME)
+            self.deadline = None
+        elif self.interval > 0.0 and now - self.last_checkpoint >= self.interval:
+            self.pending = max(self.pending, CHECKPOINT)
+            self.last_checkpoint = now
+
+    def margin(self, simulation):
+        """Seconds that it takes to stop: the steps until all ranks agree, and a checkpoint."""
+        if self.longest_checkpoint is None:
+            self.longest_checkpoint = simulation.comm.size * simulation.nbytes / FIRST_BANDWIDTH
+        return MARGIN_SECONDS + MARGIN_STEPS * self.longest_step + MARGIN_CHECKPOINTS * self.longest_checkpoint
+
+    def wrote_checkpoint(self, seconds):
+        """Take note of a checkpoint just written, whoever asked for it."""
+        self.longest_checkpoint = seconds
+        self.last_checkpoint = self.last_step = clock.monotonic()
+
+
+def reason(asked):
+    """What made a run stop, as a person says it."""
+    return signal.Signals(asked - SIGNALLED).name if asked >= SIGNALLED else "out of wall time"
+
+
+def deadline_of(walltime, began):
+    """When a run must be over, on time.time()'s clock, or None: of --walltime, which counts from `began`, else of Slurm."""
+    if walltime is not None:
+        return None if walltime == "none" else began + seconds_of(walltime)
+    return slurm_end()
+
+
+def seconds_of(text):
+    """Seconds of a wall time as batch systems write it. Raises SceneError."""
+    match = re.fullmatch(r"(?:(\d{1,4})-)?(\d{1,5}):(\d{2})(?::(\d{2}))?", text)
+    if not match or int(match[3]) > 59 or int(match[4] or 0) > 59:
+        raise SceneError(f"--walltime {text}: must be {FORMS}, or none")
+    days, hours, minutes, seconds = (int(part or 0) for part in match.groups())
+    total = ((days * 24 + hours) * 60 + minutes) * 60 + seconds
+    if total == 0:
+        raise SceneError(f"--walltime {text}: must be longer than nothing")
+    return total
+
+
+def slurm_end():
+    """When the Slurm job around this process ends, on time.time()'s clock; None without one, or if Slurm does not say."""
+    job = os.environ.get("SLURM_JOB_ID", "")
+    if not job.isdigit():
+        return None
+    given = os.environ.get("SLURM_JOB_END_TIME", "")
+    if given.isdigit():
+        return float(given)
+    try:
+        asked = subprocess.run(
+            ["squeue", "-h", "-j", job, "-o", "%L"], capture_output=True, text=True, timeout=20, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return left_of_slurm(asked.stdout.strip(), clock.time())
+
+
+def left_of_slurm(text, now):
+    """The end of a job that squeue says has `text` left: [D-][HH:]MM:SS."""
+    match = re.fullmatch(r"(?:(\d+)-)?(?:(\d+):)?(\d+):(\d+)", text)
+    if not match:
+        return None
+    days, hours, minutes, seconds = (int(part or 0) for part in match.groups())
+    return now + ((days * 24 + hours) * 60 + minutes) * 60 + seconds

@@ -1,0 +1,292 @@
+"""What a simulation needs to go on as if it had never stopped: taken out of one, and put into another on any ranks.
+
+Kept are the particles in their one global order and segments, and the few numbers on which the next decisions depend. In the
+same precision the simulation that is filled with them takes the same steps, bit for bit; cuts may differ.
+"""
+
+import json
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pmpm import readout
+from pmpm.kernels.loops import FARTHEST, OVERFLOW
+from pmpm.kernels.needs import labels
+from pmpm.kernels.places import FORMATS
+from pmpm.output.files import OutputError
+from pmpm.output.snapshots import Later, snapshot_attributes, topology
+from pmpm.state.particles import Ordered, Population
+
+OWN = "restart"  # the group of a checkpoint that a snapshot has not
+RECORD, SCENE = f"{OWN}/record", f"{OWN}/scene"
+STORED_ELSEWHERE = ("x", "v")  # fields of a layout that lie under other names
+
+Count = Annotated[int, Field(ge=0)]
+Size = Annotated[float, Field(ge=0.0)]
+
+
+class Numbers(BaseModel):
+    """Numbers of a checkpoint, checked: nobody says who has written the file."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class Disorder(Numbers):
+    """Of timestep.Disorder."""
+
+    step: Count
+    sorted_runs: Count | None
+    excess: Count
+    particles: Count
+    pending: tuple[Count, Count, Count] | None
+
+
+class Control(Numbers):
+    """Of timestep.StepControl."""
+
+    speed: Size
+    wave: Size
+    travel: Size
+    drift: Size
+    drift_travel: Size
+    regroup_travel: Size
+    begun: Count
+    regroup_step: Count
+    pending: Annotated[list[tuple[Count, Size, Size, Size, Size]], Field(max_length=8)]
+    disorder: Disorder
+
+
+class Record(Numbers):
+    """All of it. `counts`: of each regular output (interval in s, number of the next time it is due); `outputs`: how many
+    snapshots and lines of diagnostics there were."""
+
+    time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    step_count: Count
+    dt: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    first_energy: float
+    regroups: Count
+    control: Control
+    travelled: list[list[Annotated[float, Field(allow_inf_nan=False)]]]
+    counts: dict[str, tuple[Size, Count]]
+    outputs: dict[str, Count]
+
+
+@dataclass
+class State:
+    """A simulation at rest between two steps: its numbers, the same on all ranks, and this rank's particles of each law."""
+
+    record: dict
+    populations: list[Population]
+
+    def copy(self):
+        """The same, for later: the simulation's own particles move on."""
+        return State(self.record, [population.copy() for population in self.populations])
+
+
+def state(simulation, outputs=None):
+    """What the simulation needs to go on. Collective. Raises NumericalFailure if a particle has failed."""
+    simulation.check()
+    record = {
+        "time": simulation.time,
+        "step_count": simulation.step_count,
+        "dt": float(simulation.dt),
+        "first_energy": simulation.first_energy,
+        "regroups": simulation.regroups,
+        "control": simulation.control.state(),
+        "travelled": [region.travelled.tolist() for region in simulation.drive.regions],
+        "counts": {o.name: (o.seconds, o.count) for o in simulation.observers if o.name and o.seconds is not None},
+        "outputs": outputs or {},
+    }
+    return State(record, simulation.populations)
+
+
+# ---- into a file ----
+
+
+def datasets(simulation, held):
+    """({dataset: this rank's rows}, {group: attributes}) of a checkpoint that holds a State. Collective."""
+    first, count = simulation.comm.offsets(simulation.rows())
+    kernels, laws = (
+        simulation.kernels,
+        zip(labels(simulation.needs.laws), held.populations, simulation.layouts, strict=True),
+    )
+    found = topology(simulation.comm, first, simulation.rows(), count) | common_rows(simulation, held)
+    for label, population, layout in laws:
+        for field in layout.fields:
+            if field.name not in STORED_ELSEWHERE:
+                found[f"pmpm/{label}/{field.name}"] = field_rows(population, kernels, layout.where(field.name))
+        found[f"{OWN}/{label}/place"] = place_rows(population, kernels, simulation.dim)
+        found[f"{OWN}/{label}/segments"] = population.segment_table()
+    for name, text in ((RECORD, json.dumps(held.record)), (SCENE, simulation.scene.to_toml())):
+        found[name] = np.frombuffer(text.encode() if simulation.comm.rank == 0 else b"", np.uint8)
+    now = (held.record[name] for name in ("time", "step_count", "dt"))
+    return found, snapshot_attributes(simulation.scene, *now)
+
+
+def field_rows(population, kernels, where):
+    """Rows of a stored field: numbers of one, vectors of several columns."""
+    columns = () if where.stop - where.start == 1 else (where.stop - where.start,)
+    shape = (len(population), *columns)
+    return Later(shape, population.reals.dtype, lambda: population.unpacked(kernels, where).reshape(shape))
+
+
+def place_rows(population, kernels, dim):
+    """The integers that positions are, from the base nodes of the segments."""
+    integer = population.places.dtype
+    return Later((len(population), dim), integer, lambda: population.unpacked(kernels, slice(0, dim)).view(integer))
+
+
+def common_rows(simulation, held):
+    """Rows in the one global order: of all laws what ParaView shows, x, id, v and the material."""
+    geometry, scene, kernels = simulation.geometry, simulation.scene, simulation.kernels
+    materials = np.array([simulation.material_names.index(body.material) for body in scene.bodies], np.int32)
+    populations, rows, velocity = held.populations, simulation.rows(), simulation.layouts[0].where("v")
+    order = None if len(populations) == 1 else readout.order_of(populations)
+
+    def joined(shape, dtype, rows_of):
+        def make():
+            parts = list(map(rows_of, populations))
+            return parts[0] if order is None else np.concatenate(parts)[order]
+
+        return Later(shape, np.dtype(dtype), make)
+
+    return {
+        "VTKHDF/Points": joined(
+            (rows, 3), simulation.real, lambda p: p.points(kernels, geometry.axes, geometry.cell_size)
+        ),
+        "VTKHDF/PointData/id": joined((rows,), np.int64, lambda p: p.ids(kernels)),
+        "VTKHDF/PointData/velocity": joined((rows, 3), simulation.real, lambda p: p.unpacked(kernels, velocity, 3)),
+        "VTKHDF/PointData/material": joined((rows,), np.int32, lambda p: materials[p.per_particle(p.block_row)]),
+    }
+
+
+# ---- out of a file ----
+
+
+class Continuation:
+    """Fills a simulation from a checkpoint: the other way to begin beside populate.Beginning.
+
+    `file`: an output.checkpoints.CheckpointFile. `changed`: whether the scene now drives the particles otherwise than the one
+    that wrote it, so that the next step must be chosen anew. Raises OutputError where the file does not fit.
+    """
+
+    def __init__(self, file, changed=False):
+        self.file, self.changed = file, changed
+        try:
+            self.record = Record.model_validate_json(file.bytes_of(RECORD))
+        except ValidationError as error:
+            raise OutputError(f"{file.path} is damaged: {RECORD}: {error.errors()[0]['msg']}") from error
+
+    def count_per_layer(self, simulation):
+        """(layers,) particles per layer over all ranks; reads where the particles of each law lie."""
+        self.tables = [self.segments(simulation, number) for number in range(len(simulation.needs.laws))]
+        counts = np.zeros(simulation.geometry.layers, np.int64)
+        for table in self.tables:
+            np.add.at(counts, table[:, 0], table[:, 1])
+        total = self.file.shape("VTKHDF/PointData/id")[0]
+        if counts.sum() != total:
+            raise OutputError(f"{self.file.path} is damaged: {total} particles, but {counts.sum()} lie in segments")
+        return counts
+
+    def segments(self, simulation, number):
+        """(m, 5) segments of a law over all ranks, checked."""
+        label = labels(simulation.needs.laws)[number]
+        table = self.file.rows(f"{OWN}/{label}/segments").astype(np.int64)
+        geometry = simulation.geometry
+        of_law = simulation.tables[number][:, 0] > 0.0
+        _, middle, row = geometry.axes
+        homes = [geometry.layers, None, len(of_law), geometry.homes(middle) if middle >= 0 else 1, geometry.homes(row)]
+        sound = table.ndim == 2 and table.shape[1] == len(homes) and (table >= 0).all()
+        sound = sound and all((table[:, k] < size).all() for k, size in enumerate(homes) if size is not None)
+        sound = sound and of_law[table[:, 2]].all() and (table[:, 1] > 0).all() and (np.diff(table[:, 0]) >= 0).all()
+        rows = self.file.shape(f"{OWN}/{label}/place")[0]
+        if not sound or table[:, 1].sum(dtype=np.float64) != rows or table[:, 1].sum() != rows:
+            raise OutputError(
+                f"{self.file.path} is damaged: the segments of {label} do not fit its particles or the grid"
+            )
+        return table
+
+    def fill(self, simulation):
+        """Give every rank the particles of its layers, in their order, and the simulation its numbers. Collective."""
+        record = self.record
+        first, last = simulation.first_layer, simulation.last_layer
+        ids, velocities = self.common(simulation)
+        laws = []
+        for number in range(len(self.tables)):
+            ordered = self.ordered(simulation, number, ids[number], velocities[number])
+            pads, dim = simulation.pad_values(simulation.layouts[number]), simulation.dim
+            laws.append(Population.of_ordered(ordered, first, last - first, pads, dim))
+        simulation.populations = laws
+        simulation.held = simulation.rows()
+        simulation.time, simulation.step_count, simulation.dt = record.time, record.step_count, record.dt
+        simulation.first_energy, simulation.regroups = record.first_energy, record.regroups
+        simulation.counts, simulation.outputs = dict(record.counts), dict(record.outputs)
+        self.move_regions(simulation)
+        simulation.control.resume(record.control.model_dump())
+        if self.file.precision != simulation.scene.method.precision:
+            simulation.regroup()  # what has been rounded may lie on the other side of a layer's end
+        if self.changed or self.file.precision != simulation.scene.method.precision:
+            simulation.changed_by_hand()
+
+    def move_regions(self, simulation):
+        regions, travelled = simulation.drive.regions, self.record.travelled
+        if [len(where) for where in travelled] != [simulation.dim] * len(regions):
+            raise OutputError(
+                f"{self.file.path} is damaged: {len(travelled)} regions have travelled, not {len(regions)}"
+            )
+        for region, where in zip(regions, travelled, strict=True):
+            region.travelled[:] = where
+
+    def common(self, simulation):
+        """([ids of each law], [velocities (n, dim) of each law]) of this rank's particles."""
+        layers = simulation.geometry.layers
+        counts = np.zeros((layers, len(self.tables)), np.int64)
+        for number, table in enumerate(self.tables):
+            np.add.at(counts[:, number], table[:, 0], table[:, 1])
+        begin, end = (int(counts[:layer].sum()) for layer in (simulation.first_layer, simulation.last_layer))
+        mine = counts[simulation.first_layer : simulation.last_layer]
+        law = np.repeat(np.tile(np.arange(mine.shape[1]), len(mine)), mine.reshape(-1))
+        ids = self.file.rows("VTKHDF/PointData/id", begin, end, (), np.int64)
+        v = self.file.rows("VTKHDF/PointData/velocity", begin, end, (3,), np.floating)[:, : simulation.dim]
+        return zip(*((ids[law == number], v[law == number]) for number in range(len(self.tables))), strict=True)
+
+    def ordered(self, simulation, number, ids, velocities):
+        """This rank's rows of a law."""
+        file, real, layout = self.file, simulation.real, simulation.layouts[number]
+        label, table = labels(simulation.needs.laws)[number], self.tables[number]
+        here = (table[:, 0] >= simulation.first_layer) & (table[:, 0] < simulation.last_layer)
+        begin = int(table[table[:, 0] < simulation.first_layer, 1].sum())
+        end = begin + int(table[here, 1].sum())
+        ordered = Ordered(np.empty((end - begin, layout.size), real), ids, table[here])
+        theirs, ours = FORMATS[np.dtype(file.precision)], FORMATS[np.dtype(real)]
+        place = file.rows(f"{OWN}/{label}/place", begin, end, (simulation.dim,), theirs.integer)
+        ordered.places[:, layout.where("x")] = ours.moved_from(theirs, place)
+        self.check_places(simulation, number, ordered)
+        ordered.reals[:, layout.where("v")] = velocities
+        wanted = [field for field in layout.fields if field.name not in STORED_ELSEWHERE]
+        held = file.names(f"pmpm/{label}")
+        if sorted(held) != sorted(field.name for field in wanted):
+            names = ", ".join(field.name for field in wanted)
+            raise OutputError(f"{file.path}: particles of {label} hold {', '.join(held)}, this scene asks for {names}")
+        with np.errstate(over="ignore"):
+            for field in wanted:
+                size = field.size(simulation.dim)
+                shape = () if size == 1 else (size,)
+                values = file.rows(f"pmpm/{label}/{field.name}", begin, end, shape, np.floating)
+                ordered.reals[:, layout.where(field.name)] = values.reshape(-1, size)
+        return ordered
+
+    def check_places(self, simulation, number, ordered):
+        """Raise OutputError for particles further from their layer than P2G may find them, or outside the domain."""
+        stencil, slab = simulation.geometry.stencil, simulation.geometry.axes[0]
+        form, bases = FORMATS[ordered.reals.dtype], ordered.bases(simulation.geometry.axes)
+        place = ordered.places[:, : simulation.dim].astype(np.int64)
+        drift = np.abs(place[:, slab] - form.whole(0.5 - stencil.round))
+        sixty_fourths = 64 * bases + (place >> (form.fraction - 6))
+        low, high = simulation.limits.T
+        inside = (sixty_fourths >= low - 1) & (sixty_fourths <= high) & (np.abs(place) < form.whole(OVERFLOW))
+        if not inside.all() or (drift > form.whole(FARTHEST / 64)).any():
+            label = labels(simulation.needs.laws)[number]
+            raise OutputError(f"{self.file.path} is damaged: a particle of {label} is not where its layer is")
