@@ -11,7 +11,11 @@ from pmpm.state.fields import OPTIONAL, Field
 
 def order(simulation):
     """Permutation that puts the laws' particles, one law after another, into the one global order."""
-    return np.argsort(np.concatenate([p.per_particle(p.block_layer) for p in simulation.populations]), kind="stable")
+    return order_of(simulation.populations)
+
+
+def order_of(populations):
+    return np.argsort(np.concatenate([p.per_particle(p.block_layer) for p in populations]), kind="stable")
 
 
 def fields(simulation, names):

@@ -11,11 +11,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from pmpm import readout
 from pmpm.kernels.loops import FARTHEST, OVERFLOW
 from pmpm.kernels.needs import labels
 from pmpm.kernels.places import FORMATS
 from pmpm.output.files import OutputError
-from pmpm.output.snapshots import snapshot_attributes, three_columns, topology
+from pmpm.output.snapshots import Later, snapshot_attributes, topology
 from pmpm.state.particles import Ordered, Population
 
 OWN = "restart"  # the group of a checkpoint that a snapshot has not
@@ -77,15 +78,15 @@ class State:
     """A simulation at rest between two steps: its numbers, the same on all ranks, and this rank's particles of each law."""
 
     record: dict
-    laws: list[Ordered]
+    populations: list[Population]
 
-    @property
-    def nbytes(self):
-        return sum(law.nbytes for law in self.laws)
+    def copy(self):
+        """The same, for later: the simulation's own particles move on."""
+        return State(self.record, [population.copy() for population in self.populations])
 
 
 def state(simulation, outputs=None):
-    """Copy what the simulation needs to go on. Collective. Raises NumericalFailure if a particle has failed."""
+    """What the simulation needs to go on. Collective. Raises NumericalFailure if a particle has failed."""
     simulation.check()
     record = {
         "time": simulation.time,
@@ -98,7 +99,7 @@ def state(simulation, outputs=None):
         "counts": {o.name: (o.seconds, o.count) for o in simulation.observers if o.name and o.seconds is not None},
         "outputs": outputs or {},
     }
-    return State(record, [population.ordered() for population in simulation.populations])
+    return State(record, simulation.populations)
 
 
 # ---- into a file ----
@@ -106,41 +107,58 @@ def state(simulation, outputs=None):
 
 def datasets(simulation, held):
     """({dataset: this rank's rows}, {group: attributes}) of a checkpoint that holds a State. Collective."""
-    rows = sum(map(len, held.laws))
-    first, count = simulation.comm.offsets(rows)
-    found = topology(simulation.comm, first, rows, count) | common_rows(simulation, held)
-    for label, ordered, layout in zip(labels(simulation.needs.laws), held.laws, simulation.layouts, strict=True):
+    first, count = simulation.comm.offsets(simulation.rows())
+    kernels, laws = (
+        simulation.kernels,
+        zip(labels(simulation.needs.laws), held.populations, simulation.layouts, strict=True),
+    )
+    found = topology(simulation.comm, first, simulation.rows(), count) | common_rows(simulation, held)
+    for label, population, layout in laws:
         for field in layout.fields:
             if field.name not in STORED_ELSEWHERE:
-                values = ordered.reals[:, layout.where(field.name)]
-                found[f"pmpm/{label}/{field.name}"] = values[:, 0] if values.shape[1] == 1 else values
-        found[f"{OWN}/{label}/place"] = ordered.places[:, layout.where("x")]
-        found[f"{OWN}/{label}/segments"] = ordered.segments
+                found[f"pmpm/{label}/{field.name}"] = field_rows(population, kernels, layout.where(field.name))
+        found[f"{OWN}/{label}/place"] = place_rows(population, kernels, simulation.dim)
+        found[f"{OWN}/{label}/segments"] = population.segment_table()
     for name, text in ((RECORD, json.dumps(held.record)), (SCENE, simulation.scene.to_toml())):
         found[name] = np.frombuffer(text.encode() if simulation.comm.rank == 0 else b"", np.uint8)
     now = (held.record[name] for name in ("time", "step_count", "dt"))
     return found, snapshot_attributes(simulation.scene, *now)
 
 
+def field_rows(population, kernels, where):
+    """Rows of a stored field: numbers of one, vectors of several columns."""
+    columns = () if where.stop - where.start == 1 else (where.stop - where.start,)
+    shape = (len(population), *columns)
+    return Later(shape, population.reals.dtype, lambda: population.unpacked(kernels, where).reshape(shape))
+
+
+def place_rows(population, kernels, dim):
+    """The integers that positions are, from the base nodes of the segments."""
+    integer = population.places.dtype
+    return Later((len(population), dim), integer, lambda: population.unpacked(kernels, slice(0, dim)).view(integer))
+
+
 def common_rows(simulation, held):
     """Rows in the one global order: of all laws what ParaView shows, x, id, v and the material."""
-    geometry, scene = simulation.geometry, simulation.scene
+    geometry, scene, kernels = simulation.geometry, simulation.scene, simulation.kernels
     materials = np.array([simulation.material_names.index(body.material) for body in scene.bodies], np.int32)
-    order = np.argsort(np.concatenate([law.per_particle(law.segments[:, 0]) for law in held.laws]), kind="stable")
+    populations, rows, velocity = held.populations, simulation.rows(), simulation.layouts[0].where("v")
+    order = None if len(populations) == 1 else readout.order_of(populations)
 
-    def joined(parts):
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)[order]
+    def joined(shape, dtype, rows_of):
+        def make():
+            parts = list(map(rows_of, populations))
+            return parts[0] if order is None else np.concatenate(parts)[order]
 
-    def points(law):
-        node, part = law.cells(geometry.axes)
-        return three_columns(((node + part) * geometry.cell_size).astype(simulation.real))
+        return Later(shape, np.dtype(dtype), make)
 
-    pairs = list(zip(held.laws, simulation.layouts, strict=True))
     return {
-        "VTKHDF/Points": joined([points(law) for law in held.laws]),
-        "VTKHDF/PointData/id": joined([law.id for law in held.laws]),
-        "VTKHDF/PointData/velocity": joined([three_columns(law.reals[:, o.where("v")]) for law, o in pairs]),
-        "VTKHDF/PointData/material": joined([materials[law.per_particle(law.segments[:, 2])] for law in held.laws]),
+        "VTKHDF/Points": joined(
+            (rows, 3), simulation.real, lambda p: p.points(kernels, geometry.axes, geometry.cell_size)
+        ),
+        "VTKHDF/PointData/id": joined((rows,), np.int64, lambda p: p.ids(kernels)),
+        "VTKHDF/PointData/velocity": joined((rows, 3), simulation.real, lambda p: p.unpacked(kernels, velocity, 3)),
+        "VTKHDF/PointData/material": joined((rows,), np.int32, lambda p: materials[p.per_particle(p.block_row)]),
     }
 
 

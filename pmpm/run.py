@@ -133,7 +133,7 @@ class Outputs:
         self.requests.wrote_checkpoint(self.checkpoints.longest)
 
     def keep_copy(self, simulation):
-        self.copy = simulation.state(self.counts())
+        self.copy = simulation.state(self.counts()).copy()
 
     def keep_failed(self, failure):
         """Write the state that failed, and the copy kept before; returns what to say of them."""

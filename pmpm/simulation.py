@@ -192,8 +192,17 @@ class Simulation:
         return speed, wave
 
     def state(self, outputs=None):
-        """A copy of all that it takes to go on from here, for a checkpoint. Collective. NumericalFailure as `check`."""
+        """All that it takes to go on from here, for a checkpoint. Collective. NumericalFailure as `check`."""
         return restore.state(self, outputs)
+
+    def save(self, path):
+        """Write a checkpoint file, and its manifest beside it, from which `restart` goes on. Collective.
+
+        Raises OutputError where it cannot be written, NumericalFailure as `check`.
+        """
+        from pmpm.output import checkpoints
+
+        checkpoints.save(self, path)
 
     def datasets(self, state):
         """({dataset: this rank's rows}, {group: attributes}) of a checkpoint that holds a state of this simulation."""

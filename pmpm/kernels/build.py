@@ -23,6 +23,7 @@ PER_OPTION = ("damp",)  # likewise, only where a scene asks for them
 PER_CUT = ("pack", "take_planes", "add_planes")  # called, hence compiled, only where there are cuts
 PER_PLACES = ("loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
+OUT_OF_BLOCKS = ("take_rows", "take_positions")  # called, hence compiled, only where a checkpoint is written
 LOOPS = {"lanes": lane_loops, "scalar": scalar_loops}
 CACHE_LINE = 64  # bytes
 VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
@@ -255,7 +256,7 @@ def build(needs, layouts, parameter_counts, kind):
     for_places = targets.scalar(real)
     shared |= {name: for_places.entry(getattr(sorting, name)) for name in PER_PLACES}
     for_orders = targets.scalar(np.float64)
-    shared |= {name: for_orders.entry(getattr(sorting, name)) for name in SORTING}
+    shared |= {name: for_orders.entry(getattr(sorting, name)) for name in (*SORTING, *OUT_OF_BLOCKS)}
     return Kernels(
         tuple(p2g),
         tuple(g2p),

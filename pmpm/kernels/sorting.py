@@ -221,3 +221,38 @@ def permute(
             n += here
             left -= here
             new += 1
+
+
+def take_rows(blocks, segments, first, fields, rows):
+    """Copy fields first .. first + fields - 1 of all particles out of their blocks into the first columns of rows (n, ...)."""
+    n = 0
+    for s in range(segments.shape[0]):
+        block, left = segments[s, 0], segments[s, 1]
+        while left > 0:
+            count = min(left, 16)
+            for f in range(fields):
+                for lane in range(count):
+                    rows[n + lane, f] = blocks[block, first + f, lane]
+            n += count
+            left -= count
+            block += 1
+
+
+def take_positions(places, segments, layers, axes, fraction, unit, cell_size, x):
+    """Positions (m) of all particles into the first columns of x (n, ...); `layers`: of each segment."""
+    n = 0
+    for s in range(segments.shape[0]):
+        block, left = segments[s, 0], segments[s, 1]
+        while left > 0:
+            count = min(left, 16)
+            for array_axis in range(3):
+                axis = axes[array_axis]
+                if axis >= 0:
+                    base = layers[s] if array_axis == 0 else segments[s, 2 + array_axis]
+                    for lane in range(count):
+                        place = np.int64(places[block, axis, lane])
+                        whole = place >> fraction
+                        x[n + lane, axis] = (base + whole + (place - (whole << fraction)) * unit) * cell_size
+            n += count
+            left -= count
+            block += 1

@@ -7,25 +7,26 @@ The manifest is renamed into place when all else is on the disk: without it ther
 again, so that no checkpoint is written over another one.
 """
 
+import contextlib
 import json
 import os
 import re
 import time as clock
-import zlib
 from pathlib import Path
 
 import numpy as np
+from xxhash import xxh3_64
 
-from pmpm.output.files import OutputError, on_rank_zero, raise_together, sync_folder, unfinished_name
+from pmpm.output.files import OutputError, explain, on_rank_zero, raise_together, sync_folder, unfinished_name
 from pmpm.output.run_directory import CHECKPOINTS, now
 from pmpm.output.snapshots import FORMAT_VERSION as SNAPSHOT_VERSION
-from pmpm.output.snapshots import default_parallel, little_endian, write_datasets
+from pmpm.output.snapshots import default_parallel, write_datasets
 
 FORMAT, FORMAT_VERSION = "pmpm checkpoint", 1
 MANIFEST = re.compile(r"(\d{6,})\.json")
 NUMBERED = re.compile(r"\.?(\d{6,})\.(hdf|json)(\.unfinished)?")
 PIECE = 1 << 24  # bytes that are looked at in one go
-MOST_MANIFEST = 1 << 28  # bytes
+MOST_MANIFEST, MOST_TEXT = 1 << 28, 1 << 26  # bytes
 
 
 class CheckpointWriter:
@@ -64,18 +65,21 @@ class CheckpointWriter:
         return max((int(match[1]) + 1 for match in found if match), default=0)
 
 
+def save(simulation, path):
+    """Write a checkpoint of a simulation to `path`, whatever was there. Collective; OutputError on all ranks if any fails."""
+    path, comm = Path(path), simulation.comm
+    if path.suffix != ".hdf":
+        raise OutputError(f"{path}: the name of a checkpoint must end in .hdf")
+    on_rank_zero(comm, lambda: manifest_of(path).unlink(missing_ok=True))
+    pieces, attributes = simulation.datasets(simulation.state())
+    write_checkpoint(comm, path, pieces, attributes, default_parallel(comm))
+
+
 def write_checkpoint(comm, path, pieces, attributes, parallel):
     """Write a checkpoint file and then its manifest. Collective; OutputError on all ranks if any fails."""
-    pieces = {name: little_endian(rows) for name, rows in pieces.items()}
-    write_datasets(comm, path, pieces, attributes, parallel, durable=True)
-    mine = {name: (rows.nbytes, checksum(memoryview(rows).cast("B"))) for name, rows in pieces.items() if rows.size}
-    told = comm.gather(mine)
+    _, sums = write_datasets(comm, path, pieces, attributes, parallel, durable=True)
+    told = comm.gather(sums)
     on_rank_zero(comm, lambda: write_manifest(path, told, attributes["pmpm"]))
-
-
-def checksum(data, before=0):
-    """CRC-32, which finds every change of up to 32 bits in a row, and others but for one in 4e9."""
-    return zlib.crc32(data, before)
 
 
 def write_manifest(path, told, attributes):
@@ -87,8 +91,8 @@ def write_manifest(path, told, attributes):
         for name in dict.fromkeys(name for rank in told for name in rank):
             first = file[name].id.get_offset()
             ranges[name] = []
-            for nbytes, crc in (rank[name] for rank in told if name in rank):
-                ranges[name].append([first, nbytes, crc])
+            for nbytes, checksum in (rank[name] for rank in told if name in rank):
+                ranges[name].append([first, nbytes, checksum])
                 first += nbytes
     size = os.path.getsize(path)
     held = {
@@ -105,7 +109,7 @@ def write_manifest(path, told, attributes):
     }
     unfinished = unfinished_name(manifest_of(path))
     with open(unfinished, "w", encoding="utf-8") as file:
-        json.dump(held | {"manifest": checksum(canonical(held))}, file, indent=1)
+        json.dump(held | {"manifest": xxh3_64(canonical(held)).intdigest()}, file, indent=1)
         file.flush()
         os.fsync(file.fileno())
     os.replace(unfinished, manifest_of(path))
@@ -122,23 +126,24 @@ def canonical(held):
 
 def checksum_of_gaps(path, size, ranges):
     """Checksum of all bytes of a file that lie in none of the ranges (first byte, bytes, ...)."""
-    found = place = 0
+    found, place = xxh3_64(), 0
     with open(path, "rb") as file:
         for first, nbytes in [*sorted((first, nbytes) for first, nbytes, *_ in ranges), (size, 0)]:
-            found = checksum_of_range(file, place, first - place, found)
+            take_in(found, file, place, first - place)
             place = first + nbytes
-    return found
+    return found.intdigest()
 
 
-def checksum_of_range(file, first, nbytes, found=0):
-    """Checksum of bytes of an open file, going on from `found`; of fewer bytes if the file ends before."""
+def take_in(checksum, file, first, nbytes):
+    """Let a checksum see some bytes of an open file; fewer of them if the file ends before. Returns it."""
     file.seek(first)
     while nbytes > 0:
         data = file.read(min(PIECE, nbytes))
         if not data:
             break
-        found, nbytes = checksum(data, found), nbytes - len(data)
-    return found
+        checksum.update(data)
+        nbytes -= len(data)
+    return checksum
 
 
 def prune(folder, keep, bad=()):
@@ -211,7 +216,7 @@ def read_manifest(path):
     if not isinstance(held, dict) or held.get("format") != FORMAT:
         raise OutputError(f"{manifest} is not the manifest of a checkpoint")
     said = held.pop("manifest", None)
-    if said != checksum(canonical(held)):
+    if said != xxh3_64(canonical(held)).intdigest():
         raise OutputError(f"{manifest} is damaged: its checksum is another one")
     if held.get("format_version") != FORMAT_VERSION or held.get("snapshot_version") != SNAPSHOT_VERSION:
         versions = f"{held.get('format_version')} (snapshot {held.get('snapshot_version')})"
@@ -253,11 +258,20 @@ def check_share(path, held, rank, size):
         raise OutputError(f"{path} is damaged: it has {found} bytes, not {held['bytes']}")
     ranges = [(name, *entry) for name, entries in held["datasets"].items() for entry in entries]
     with open(path, "rb") as file:
-        for name, first, nbytes, crc in ranges[rank::size]:
-            if checksum_of_range(file, first, nbytes) != crc:
+        for name, first, nbytes, said in ranges[rank::size]:
+            if take_in(xxh3_64(), file, first, nbytes).intdigest() != said:
                 raise OutputError(f"{path} is damaged: {name} has another checksum")
     if rank == size - 1 and checksum_of_gaps(path, found, [r[1:] for r in ranges]) != held["rest"]:
         raise OutputError(f"{path} is damaged: what lies between its datasets has another checksum")
+
+
+@contextlib.contextmanager
+def taken_for_damage(path):
+    """Turn whatever HDF5 says of a file into one complaint about it."""
+    try:
+        yield
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
+        raise OutputError(f"{path} is damaged: {explain(error)}") from error
 
 
 class CheckpointFile:
@@ -267,24 +281,25 @@ class CheckpointFile:
         from pmpm.output.reader import open_snapshot, plain_attribute
 
         self.path = Path(path)
-        self.file = open_snapshot(self.path)
-        attributes = self.file["pmpm"].attrs
-        self.precision = plain_attribute(attributes["precision"]) if "precision" in attributes else None
+        with taken_for_damage(path):
+            self.file = open_snapshot(self.path)
+            self.precision = plain_attribute(self.file["pmpm"].attrs.get("precision"))
         if self.precision not in ("float32", "float64"):
             raise OutputError(f"{self.path} is damaged: precision {self.precision!r}")
 
     def dataset(self, name):
         import h5py
 
-        item = self.file.get(name)
-        if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual:
-            raise OutputError(f"{self.path} is damaged: it holds no dataset {name}")
-        return item
+        with taken_for_damage(self.path):
+            item = self.file.get(name)
+            if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual:
+                return item
+        raise OutputError(f"{self.path} is damaged: it holds no dataset {name}")
 
     def names(self, group):
         """Names of the datasets in a group."""
-        held = self.file.get(group)
-        return [] if held is None else list(held)
+        with taken_for_damage(self.path):
+            return list(self.file.get(group) or ())
 
     def shape(self, name):
         shape = self.dataset(name).shape
@@ -301,10 +316,13 @@ class CheckpointFile:
             raise OutputError(
                 f"{self.path} is damaged: {name} is {item.dtype} {item.shape}, not {columns} per particle"
             )
-        return item[first:last]
+        with taken_for_damage(self.path):
+            return item[first:last]
 
     def bytes_of(self, name):
-        """Contents of a dataset of bytes."""
+        """Contents of a dataset of bytes, no more than a text may have."""
+        if self.shape(name)[0] > MOST_TEXT:
+            raise OutputError(f"{self.path} is damaged: {name} has {self.shape(name)[0]} bytes")
         return self.rows(name, columns=(), kind=np.uint8).tobytes()
 
     def close(self):

@@ -8,10 +8,14 @@ tells how many ranks wrote it.
 
 import os
 import socket
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from xxhash import xxh3_64
 
 from pmpm.output.files import (
     OutputError,
@@ -73,7 +77,7 @@ class SnapshotWriter:
         first, count = self.comm.offsets(simulation.rows())
         pieces = topology(self.comm, first, simulation.rows(), count) | pieces
         attributes = snapshot_attributes(self.scene, simulation.time, simulation.step_count, simulation.dt)
-        shapes = write_datasets(self.comm, path, pieces, attributes, self.parallel)
+        shapes, _ = write_datasets(self.comm, path, pieces, attributes, self.parallel)
         self.entries.append(index_entry(path, simulation.time, shapes))
         self.count += 1
         text = index_text(self.scene.title, self.entries)
@@ -180,40 +184,54 @@ def snapshot_attributes(scene, time, step, dt):
     }
 
 
+@dataclass(frozen=True)
+class Later:
+    """Rows of a dataset that are made when they are written: what a checkpoint holds would else be there twice at once."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    make: Callable[[], np.ndarray]
+
+
+def made(rows):
+    """Rows of a dataset as a contiguous array of the byte order of the file."""
+    rows = np.asarray(rows.make() if isinstance(rows, Later) else rows)
+    return np.ascontiguousarray(rows, rows.dtype.newbyteorder("<"))
+
+
 def write_datasets(comm, path, pieces, attributes, parallel, durable=False):
     """Write one HDF5 file of contiguous datasets whose rows are the ranks' `pieces`, rank after rank. Collective.
 
-    `pieces` is {dataset path: array}, `attributes` {group: {name: value}}; datasets get the unit that goes with their
+    `pieces` is {dataset path: array or Later}, `attributes` {group: {name: value}}; datasets get the unit that goes with their
     name. The file appears at `path` whole or not at all; `durable`: not before it is on the disk. Returns {dataset path:
-    (shape, dtype)}. A rank may have no rows, or lack a dataset that another rank has. OutputError on all ranks if any fails.
+    (shape, dtype)} and, if durable, {dataset path: (bytes, checksum)} of this rank's rows. A rank may have no rows, or lack a
+    dataset that another rank has. OutputError on all ranks if any fails.
     """
-    pieces = {name: little_endian(rows) for name, rows in pieces.items()}
     shapes, starts = join_pieces(comm, pieces)
     units = UNITS | {field.name: field.unit for law in LAWS.values() for field in law.STATE}
     named = {name: name.rpartition("/")[2] for name in shapes}
     attributes = attributes | {name: {"unit": units[last]} for name, last in named.items() if last in units}
     unfinished = unfinished_name(path)
     write = write_mpio if parallel == "mpio" and comm.size > 1 else write_pwrite
+    sums: dict[str, tuple[int, int]] | None = {} if durable else None
     try:
-        write(comm, unfinished, pieces, shapes, starts, attributes)
-        if durable:
-            raise_together(comm, failure_of(lambda: sync_file(unfinished)))
+        write(comm, unfinished, pieces, shapes, starts, attributes, sums)
     except OutputError as error:
         if comm.rank == 0:
             remove_quietly(unfinished)
         raise OutputError(f"{path} cannot be written: {error}") from error
     on_rank_zero(comm, lambda: os.replace(unfinished, path))
-    return shapes
+    return shapes, sums
 
 
-def little_endian(rows):
-    rows = np.asarray(rows)
-    return np.ascontiguousarray(rows, rows.dtype.newbyteorder("<"))
+def note_checksum(sums, name, rows):
+    if sums is not None and rows.size:
+        sums[name] = rows.nbytes, xxh3_64(memoryview(rows).cast("B")).intdigest()
 
 
 def join_pieces(comm, pieces):
     """({path: (shape over all ranks, dtype)}, {path: first row of this rank}); OutputError if pieces do not fit."""
-    told = comm.gather({name: (rows.shape, rows.dtype.str) for name, rows in pieces.items()})
+    told = comm.gather({name: (rows.shape, rows.dtype.newbyteorder("<").str) for name, rows in pieces.items()})
     shapes, starts = {}, {}
     for name in dict.fromkeys(name for rank in told for name in rank):
         kinds = {(rank[name][0][1:], rank[name][1]) for rank in told if name in rank}
@@ -226,10 +244,12 @@ def join_pieces(comm, pieces):
     return shapes, starts
 
 
-def write_pwrite(comm, path, pieces, shapes, starts, attributes):
+def write_pwrite(comm, path, pieces, shapes, starts, attributes, sums):
     """Rank 0 lays the file out, then every rank writes its bytes to their place: parallel with an h5py without MPI.
 
-    Needs contiguous datasets of a fixed byte order, and rank 0 done with the file before the others open it.
+    Needs contiguous datasets of a fixed byte order, and rank 0 done with the file before the others open it. What one dataset
+    needs to be made and the writing of the one before it go on at once. `sums`: see `write_datasets`; None for no checksums
+    and no waiting for the disk.
     """
 
     def lay_out():
@@ -243,13 +263,28 @@ def write_pwrite(comm, path, pieces, shapes, starts, attributes):
 
     places = on_rank_zero(comm, lay_out)
 
+    def write_one(descriptor, rows, place):
+        write_bytes(descriptor, rows, place)
+        if sums is not None:
+            os.fsync(descriptor)
+
     def write_rows():
         descriptor = os.open(path, os.O_WRONLY)
         try:
-            for name, rows in pieces.items():
-                if rows.size:
-                    row_bytes = rows.dtype.itemsize * int(np.prod(rows.shape[1:], dtype=np.int64))
-                    write_bytes(descriptor, rows, places[name] + starts[name] * row_bytes)
+            with ThreadPoolExecutor(max_workers=1) as writer:
+                before = None
+                for name, piece in pieces.items():
+                    rows = made(piece)
+                    note_checksum(sums, name, rows)
+                    if before is not None:
+                        before.result()
+                    if rows.size:
+                        place = starts[name] * (rows.nbytes // len(rows)) + places[name]
+                        before = writer.submit(write_one, descriptor, rows, place)
+                if before is not None:
+                    before.result()
+            if sums is not None:
+                os.fsync(descriptor)  # of what rank 0 has laid out, too
         finally:
             os.close(descriptor)
 
@@ -266,7 +301,7 @@ def write_bytes(descriptor, rows, place):
         waiting, place = waiting[written:], place + written
 
 
-def write_mpio(comm, path, pieces, shapes, starts, attributes):
+def write_mpio(comm, path, pieces, shapes, starts, attributes, sums):
     """All ranks write through HDF5 and MPI-IO, collectively: needs an h5py built with MPI."""
     import h5py
 
@@ -281,7 +316,8 @@ def write_mpio(comm, path, pieces, shapes, starts, attributes):
                 shape, dtype = shapes[name]
                 if not np.prod(shape, dtype=np.int64):
                     continue
-                rows = pieces.get(name, np.empty((0, *shape[1:]), dtype))
+                rows = made(pieces.get(name, np.empty((0, *shape[1:]), dtype)))
+                note_checksum(sums, name, rows)
                 here, there = h5py.h5s.create_simple((max(len(rows), 1), *shape[1:])), dataset.id.get_space()
                 # A rank without rows must still take part, with nothing selected.
                 if len(rows):
@@ -290,6 +326,8 @@ def write_mpio(comm, path, pieces, shapes, starts, attributes):
                     here.select_none()
                     there.select_none()
                 dataset.id.write(here, there, rows, dxpl=transfer)
+        if sums is not None:
+            sync_file(path)
     except Exception as error:
         failure = error
     raise_together(comm, failure)

@@ -1,8 +1,8 @@
 """The particles of one law on one rank: blocks of 16 for the kernels, plain rows for those that travel.
 
 A `Population` is ordered by (layer, table row, cell) and lies in segments of blocks, see kernels.loops. A `Cloud` is rows in
-any order. `assemble` makes the one from what stayed and what arrived. `Ordered` is a Population as rows: what it takes to
-make the very same one again, on any ranks.
+any order. `assemble` makes the one from what stayed and what arrived. `Ordered` is rows in order, with what it takes to make
+the very same Population of them again, on any ranks.
 """
 
 from dataclasses import dataclass
@@ -32,22 +32,9 @@ class Ordered:
         """(n, size) the same memory as integers."""
         return self.reals.view(FORMATS[self.reals.dtype].integer)
 
-    @property
-    def nbytes(self):
-        return self.reals.nbytes + self.id.nbytes + self.segments.nbytes
-
-    def per_particle(self, per_segment):
-        """(n, ...) an array over segments, repeated for the particles of each."""
-        return np.repeat(per_segment, self.segments[:, 1], axis=0)
-
     def bases(self, axes):
         """(n, dim) int64 base node of each particle."""
-        return self.per_particle(segment_bases(self.segments[:, 0], self.segments, axes))
-
-    def cells(self, axes):
-        """(node, part): per particle and physical axis the node below and the part of a cell from it, int64 and float64."""
-        form, bases = FORMATS[self.reals.dtype], self.bases(axes)
-        return form.split(bases, self.places[:, : bases.shape[1]].astype(np.int64))
+        return np.repeat(segment_bases(self.segments[:, 0], self.segments, axes), self.segments[:, 1], axis=0)
 
 
 def segment_bases(layer, segments, axes):
@@ -170,10 +157,36 @@ class Population:
         """(segments,) global layer of each segment."""
         return self.first_layer + np.repeat(np.arange(len(self.layer_start) - 1), np.diff(self.layer_start))
 
-    def ordered(self):
-        """The same particles as rows, copied."""
-        segments = np.concatenate([self.segment_layer[:, None], self.segments[:, 1:]], axis=1)
-        return Ordered(self.rows(slice(None)), self.id[self.lanes], segments)
+    def copy(self):
+        return Population(
+            self.reals.copy(), self.id.copy(), self.segments.copy(), self.layer_start.copy(), self.first_layer
+        )
+
+    def unpacked(self, kernels, fields, columns=None):
+        """`rows` of some fields (a slice) by a kernel, with zeros beside them up to `columns`."""
+        count = fields.stop - fields.start
+        rows = np.zeros((len(self), columns or count), self.reals.dtype)
+        kernels.take_rows(self.places, self.segments, fields.start, count, rows.view(self.places.dtype))
+        return rows
+
+    def ids(self, kernels):
+        """(n,) ids, in order."""
+        rows = np.empty((len(self), 1), np.int64)
+        kernels.take_rows(self.id.reshape(len(self.id), 1, LANES), self.segments, 0, 1, rows)
+        return rows[:, 0]
+
+    def points(self, kernels, axes, cell_size):
+        """(n, 3) positions in m, in the precision of the reals."""
+        form = FORMATS[self.reals.dtype]
+        x = np.zeros((len(self), 3), self.reals.dtype)
+        kernels.take_positions(
+            self.places, self.segments, self.segment_layer, np.array(axes), form.fraction, form.unit, cell_size, x
+        )
+        return x
+
+    def segment_table(self):
+        """(segments, 5) as `Ordered` has them."""
+        return np.concatenate([self.segment_layer[:, None], self.segments[:, 1:]], axis=1)
 
     @classmethod
     def of_ordered(cls, ordered, first_layer, layers, rest, dim):
