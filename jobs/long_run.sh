@@ -32,9 +32,9 @@ newest_step() {  # at which the newest checkpoint was written
 
 # Signals for the job reach this script, but srun kills its ranks at a SIGTERM, and a script that dies of one takes mpirun
 # with it. SIGUSR1 is handed on to the ranks by srun and by the mpirun of MPICH alike, and pmpm answers it as it does SIGTERM.
-heard=0 run=
+heard=0 warned=0 run=
 hand_on() {
-    heard=1
+    heard=1 warned=1
     kill -USR1 "$run" 2>/dev/null
 }
 trap hand_on USR1 TERM
@@ -49,9 +49,10 @@ run=$!
 [ "$heard" = 0 ] || hand_on  # one that came before there was anybody to hand it to
 while heard=0; wait "$run"; status=$?; [ "$heard" = 1 ]; do :; done  # a signal ends `wait`, not the run
 
-# 3: stopped with a checkpoint. If Slurm has stopped the job (scancel, preemption, requeue) it knows what comes next, and
-# the job no longer counts as running. A run that has got no further would do so for ever.
-if [ "$status" = 3 ] && [ "$(squeue --noheader --jobs="$job" --format=%T)" = RUNNING ]; then
+# 3: stopped with a checkpoint; more than 3: the signal came when the run did not listen yet, or no longer. If Slurm has
+# stopped the job (scancel, preemption, requeue) it knows what comes next, and the job no longer counts as running. A run
+# that has got no further would do so for ever.
+if { [ "$status" = 3 ] || [ "$status" -gt 3 -a "$warned" = 1 ]; } && [ "$(squeue --noheader --jobs="$job" --format=%T)" = RUNNING ]; then
     if [ "$(newest_step)" = "$before" ]; then
         echo "$out: no step beyond ${before:-0} in this stretch: more time (--time) is needed; not queued again" >&2
     else

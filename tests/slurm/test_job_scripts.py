@@ -145,6 +145,13 @@ def test_a_signal_is_handed_on_and_the_status_of_the_run_is_waited_for(kind, num
     assert (tmp_path / "signals").read_text() == "USR1\n"
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_run_that_the_signal_has_killed_when_it_did_not_listen_is_queued_again(kind, tmp_path):
+    batch = Batch(kind, tmp_path, 128 + signal.SIGUSR1)
+    batch.started_and_sent(signal.SIGUSR1)
+    assert len(batch.again()) == 1
+
+
 def test_a_run_that_pbs_has_stopped_is_not_submitted_again(tmp_path):
     batch = Batch("pbs", tmp_path, 3)
     batch.started_and_sent(signal.SIGTERM)
