@@ -230,8 +230,8 @@ def take_rows(blocks, segments, first, fields, rows):
         block, left = segments[s, 0], segments[s, 1]
         while left > 0:
             count = min(left, 16)
-            for f in range(fields):
-                for lane in range(count):
+            for lane in range(count):
+                for f in range(fields):
                     rows[n + lane, f] = blocks[block, first + f, lane]
             n += count
             left -= count

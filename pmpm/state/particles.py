@@ -165,7 +165,7 @@ class Population:
     def unpacked(self, kernels, fields, columns=None):
         """`rows` of some fields (a slice) by a kernel, with zeros beside them up to `columns`."""
         count = fields.stop - fields.start
-        rows = np.zeros((len(self), columns or count), self.reals.dtype)
+        rows = (np.zeros if columns else np.empty)((len(self), columns or count), self.reals.dtype)
         kernels.take_rows(self.places, self.segments, fields.start, count, rows.view(self.places.dtype))
         return rows
 
