@@ -32,7 +32,8 @@ class Requests:
         self.is_timekeeper = comm.rank == 0
         self.deadline, self.interval = deadline, interval
         self.pending = 0
-        self.last_checkpoint = self.last_step = clock.monotonic()
+        self.last_checkpoint = clock.monotonic()
+        self.last_step: float | None = None  # before the first step lie reading and compiling
         self.longest_step = 0.0
         self.longest_checkpoint: float | None = None
 
@@ -63,7 +64,8 @@ class Requests:
 
     def look_at_clock(self, simulation):
         now = clock.monotonic()
-        self.longest_step = max(self.longest_step, now - self.last_step)
+        if self.last_step is not None:
+            self.longest_step = max(self.longest_step, now - self.last_step)
         self.last_step = now
         if self.deadline is not None and clock.time() + self.margin(simulation) >= self.deadline:
             self.pending = max(self.pending, OUT_OF_TIME)
