@@ -169,7 +169,7 @@ def run(options, comm):
     from pmpm.run import OutputFailure, run_scene
     from pmpm.watching import STOP
 
-    deadline = requests.deadline_of(options.walltime, BEGAN)
+    deadline = requests.deadline_of(options.walltime, BEGAN, comm.rank)
     begin = where_to_begin(options, comm)
     if begin.message and comm.rank == 0:
         print(f"pmpm: {begin.message}", file=sys.stderr, flush=True)

@@ -91,11 +91,14 @@ def reason(asked):
     return signal.Signals(asked - SIGNALLED).name if asked >= SIGNALLED else "out of wall time"
 
 
-def deadline_of(walltime, began):
-    """When a run must be over, on time.time()'s clock, or None: of --walltime, which counts from `began`, else of Slurm."""
+def deadline_of(walltime, began, rank=0):
+    """When a run must be over, on time.time()'s clock, or None: of --walltime, which counts from `began`, else of Slurm.
+
+    Slurm is asked by rank 0 alone, the timekeeper: it does not bear the questions of a thousand ranks at once.
+    """
     if walltime is not None:
         return None if walltime == "none" else began + seconds_of(walltime)
-    return slurm_end()
+    return slurm_end() if rank == 0 else None
 
 
 def seconds_of(text):
@@ -118,6 +121,8 @@ def slurm_end():
     given = os.environ.get("SLURM_JOB_END_TIME", "")
     if given.isdigit():
         return float(given)
+    if "SLURM_ARRAY_TASK_ID" in os.environ:  # one task of an array has the number of the whole array for its own
+        job = f"{os.environ.get('SLURM_ARRAY_JOB_ID', job)}_{os.environ['SLURM_ARRAY_TASK_ID']}"
     try:
         asked = subprocess.run(
             ["squeue", "-h", "-j", job, "-o", "%L"], capture_output=True, text=True, timeout=20, check=True
