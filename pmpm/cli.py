@@ -1,6 +1,7 @@
 """The command line. Heavy things are imported by the command that needs them, so that `pmpm --help` answers at once."""
 
 import argparse
+import os
 import sys
 import time
 import traceback
@@ -24,7 +25,7 @@ def main(arguments=None):
         comm = communication.from_launcher()
     except communication.LaunchError as error:
         return complain(error, communication.launched(communication.LAUNCHER_RANK) or 0)
-    options = parser(comm.rank).parse_args(arguments)
+    options = parser(comm.rank).parse_args(numbers_joined(sys.argv[1:] if arguments is None else arguments))
     try:
         return command(options, comm)
     except BaseException:
@@ -34,6 +35,26 @@ def main(arguments=None):
         traceback.print_exc()
         comm.abort(FAILED)
         raise
+
+
+def numbers_joined(arguments):
+    """Arguments with `--option -1e-2` as `--option=-1e-2`: argparse takes a negative number with an exponent for an option."""
+    joined: list[str] = []
+    for argument in arguments:
+        option = joined[-1] if joined else ""
+        if argument.startswith("-") and is_number(argument) and option.startswith("--") and "=" not in option:
+            joined[-1] = f"{option}={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
+def is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def command(options, comm):
@@ -47,6 +68,17 @@ def command(options, comm):
         return COMMANDS[options.command](options, comm)
     except (SceneError, OutputError) as error:
         return complain(error, comm.rank)
+
+
+def say(text, rank):
+    """Print what a command has found. A reader that has seen enough, such as head, is no error."""
+    if rank != 0:
+        return
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        # Python flushes once more when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def complain(error, rank, status=WRONG_INPUT):
@@ -209,9 +241,7 @@ def check(options, comm):
     scene = read_scene(options, comm)
     from pmpm.explain import explain
 
-    text = explain(scene, max(comm.size, 1))
-    if comm.rank == 0:
-        print(text)
+    say(explain(scene, max(comm.size, 1)), comm.rank)
     return FINISHED
 
 
@@ -219,17 +249,14 @@ def scenes(options, comm):
     from pmpm.scene.files import builtin_scenes
     from pmpm.scene.schema import Scene
 
-    for name in builtin_scenes():
-        if comm.rank == 0:
-            print(f"{name:22s} {Scene.builtin(name).title}")
+    say("\n".join(f"{name:22s} {Scene.builtin(name).title}" for name in builtin_scenes()), comm.rank)
     return FINISHED
 
 
 def materials(options, comm):
     from pmpm.explain import material_lines
 
-    if comm.rank == 0:
-        print("\n".join(material_lines()))
+    say("\n".join(material_lines()), comm.rank)
     return FINISHED
 
 
@@ -237,17 +264,14 @@ def point(options, comm):
     from pmpm.point.command import point as drive
 
     text, failure = drive(options) if comm.rank == 0 else ("", None)
-    if comm.rank == 0:
-        print(text)
+    say(text, comm.rank)
     return complain(f"stopped: {failure}", comm.rank, FAILED) if failure else FINISHED
 
 
 def info(options, comm):
     from pmpm.output.reader import describe
 
-    text = describe(options.path)
-    if comm.rank == 0:
-        print(text)
+    say(describe(options.path), comm.rank)
     return FINISHED
 
 

@@ -2,20 +2,17 @@
 
 import math
 
-import numpy as np
-
+from pmpm import estimate
+from pmpm.estimate import bytes_per_particle
 from pmpm.kernels.needs import labels
 from pmpm.parallel.slabs import room
-from pmpm.physics import stability
 from pmpm.physics.materials import LAWS, python_law
-from pmpm.scene import seeding, start
+from pmpm.populate import rehearse
 from pmpm.scene.errors import SceneError
-from pmpm.state.derived import PARAMETERS
-from pmpm.state.fields import OPTIONAL, Layout
-from pmpm.timestep import MOVE
+from pmpm.state.fields import OPTIONAL
 
 ELASTIC_STATE = {"F", "J", "hencky_strain", "elastic_strain"}
-ID_BYTES = 8
+WITHIN = 1e-6  # a run in float32 knows the stable step no better
 
 
 def explain(scene, ranks):
@@ -25,29 +22,23 @@ def explain(scene, ranks):
 
     needs = scene_needs(scene)
     geometry = grid_geometry(scene, needs)
-    counts = seeding.count_per_layer(scene, geometry, 0, geometry.layers)
-    for number, count in enumerate(counts.sum(axis=1)):
-        if count == 0:
-            raise SceneError(f"scene: bodies[{number}] holds no particle")
-    total = int(counts.sum())
-    real_bytes = np.dtype(needs.precision).itemsize
-    held = bytes_per_particle(needs)
-    of_body = [needs.laws.index(law_of_body(scene, body)) for body in scene.bodies]
-    particle_bytes = sum(
-        int(count) * sum(held[law].values()) for law, count in zip(of_body, counts.sum(axis=1), strict=True)
-    )
-    nodes = math.prod(geometry.extent(axis) for axis in range(scene.dim))
-    dt = estimated_step(scene, needs, [law_table(scene, law) for law in needs.laws])
-    steps = math.ceil(scene.time.end / dt)
+    tables = [law_table(scene, law) for law in needs.laws]
+    dt = estimate.first_step(scene, needs, tables)
+    estimate.refuse_steps(scene.time, dt)
+    refuse_fixed_step(scene, needs, tables)
+    counted = estimate.places_to_try(scene) <= estimate.MOST_COUNTED
+    counts = rehearse(scene, geometry) if counted else estimate.particles(scene)
+    total, ranks = counts.sum(), max(ranks, 1)
     lines = [
         f"title         {scene.title or '-'}",
         f"dimension     {scene.dim}-D{' plane strain' if scene.dim == 2 else ''}, {' x '.join(map(str, scene.cells))} cells "
         f"of {scene.domain.cell_size:g} m, slabs across {'xyz'[geometry.axes[0]]}",
-        f"particles     {total} in {len(scene.bodies)} bodies, {total // max(ranks, 1)} per rank on {ranks} ranks",
-        f"memory        about {particle_bytes / ranks / 1e6:.1f} MB of particles and "
-        f"{nodes * 4 * real_bytes / ranks / 1e6:.1f} MB of grid per rank",
+        f"particles     {count_text(total)} in {len(scene.bodies)} bodies, {count_text(total // ranks)} per rank on "
+        f"{ranks} ranks",
+        *memory_lines(estimate.memory(scene, needs, geometry, counts), ranks),
         f"time step     {dt:.3g} s at the start{' (fixed)' if scene.time.step else f', cfl {scene.time.cfl:g}'}",
-        f"cost          about {steps} steps, {steps * total:.3g} particle-steps",
+        f"cost          about {math.ceil(scene.time.end / dt)} steps, {math.ceil(scene.time.end / dt) * total:.3g} "
+        "particle-steps",
         f"ranks         room for {geometry.layers // geometry.stencil.window or 1}",
         f"method        {scene.method.transfer}, {scene.method.shape_function} splines, {scene.method.precision}",
         f"laws          {', '.join(law_text(law) for law in needs.laws)}",
@@ -60,23 +51,40 @@ def explain(scene, ranks):
     return "\n".join(lines)
 
 
+def count_text(number):
+    """A number of particles: whole if they were counted, rounded if they were estimated."""
+    return f"about {number:.3g}" if isinstance(number, float) else str(number)
+
+
+def memory_lines(taken, ranks):
+    """What a rank takes, and whether this machine has it for all of them."""
+    available = estimate.available_memory()
+    text = f"about {taken.particles / ranks / 1e6:.1f} MB of particles and {taken.grid / ranks / 1e6:.1f} MB of grid per rank"
+    start = taken.filling + taken.grid
+    lines = [f"memory        {text}"]
+    if start > available:
+        lines.append(
+            f"              more than this machine has: {estimate.amount(start)} on all ranks at the start, "
+            f"{estimate.amount(available)} available"
+        )
+    return lines
+
+
+def refuse_fixed_step(scene, needs, tables):
+    """Raise SceneError where a fixed step is beyond the stable one already of undeformed particles at rest."""
+    stressed = any(b.deformation is not None or b.stress is not None or b.pressure != "zero" for b in scene.bodies)
+    if scene.time.step is None or stressed:  # of stressed particles only the run knows the waves
+        return
+    bound = min(estimate.stable_bounds(scene, needs, tables))
+    if scene.time.step > bound * (1.0 + WITHIN):
+        raise SceneError(
+            f"time.step = {scene.time.step} s is longer than the stable step of {bound:.6g} s at t = 0 s: give a shorter step, "
+            "or cfl instead"
+        )
+
+
 def law_text(law):
     return f"{law.model} (keeps {', '.join(law.state)})"
-
-
-def law_of_body(scene, body):
-    """The LawNeeds of a body's material."""
-    from pmpm.kernels.needs import law_needs
-
-    material = scene.materials[body.material]
-    return law_needs(material.model, material.parameters)
-
-
-def bytes_per_particle(needs):
-    """Of each law {field: bytes that a particle holds of it}, the id included: there is nothing else per particle."""
-    layouts = [Layout.of(law, needs.dim, needs.carried(law)) for law in needs.laws]
-    real = np.dtype(needs.precision).itemsize
-    return [{f.name: f.size(needs.dim) * real for f in layout.fields} | {"id": ID_BYTES} for layout in layouts]
 
 
 def byte_rows(needs):
@@ -129,25 +137,6 @@ def left_out(scene, needs):
     if scene.dim == 2:
         absent.append("third dimension")
     return absent
-
-
-def estimated_step(scene, needs, tables):
-    """The first time step in s, from the undeformed wave speeds."""
-    if scene.time.step is not None:
-        return scene.time.step
-    from pmpm.kernels import targets
-
-    dx, wave = scene.domain.cell_size, 0.0
-    for law, table in zip(needs.laws, tables, strict=True):
-        target = targets.plain(la=needs.tensors, law=law.module, **dict(law.choices))
-        identity = tuple(map(float, np.eye(scene.dim).ravel()))
-        for row in table[table[:, 0] > 0]:
-            params = tuple(row[PARAMETERS:])
-            rest = target.compile(law.module.state_at)(identity, params)
-            wave = max(wave, target.compile(stability.signal_speed_squared)(rest, params, row[2], 1.0 / dx))
-    wave = math.sqrt(wave)
-    speed = max(start.largest_speed(body, scene.dim) for body in scene.bodies)
-    return min(scene.time.cfl * dx / (wave * math.sqrt(scene.dim)), MOVE * dx / speed if speed > 0 else math.inf)
 
 
 def material_lines():

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 
+from pmpm import estimate
 from pmpm.kernels import targets
 from pmpm.kernels.needs import law_needs
 from pmpm.parallel.regroup import migrate
@@ -33,20 +34,59 @@ class Beginning:
         simulation.settle_in(seeded, arrived)
         simulation.changed_by_hand()
         simulation.dt = simulation.control.choose(simulation.time)
+        estimate.refuse_steps(simulation.scene.time, simulation.dt)
 
 
 def count_per_layer(simulation):
-    """(layers,) particles per layer over all ranks; each rank counts an equal share of the layers."""
+    """(layers,) particles per layer over all ranks; each rank counts an equal share of the layers. Collective.
+
+    Raises SceneError where there are more than fit into memory, and where a body gets none.
+    """
+    estimate.refuse_memory(simulation.scene, simulation.needs, simulation.geometry, simulation.comm)
     layers = simulation.geometry.layers
     first, last = (layers * r // simulation.comm.size for r in (simulation.comm.rank, simulation.comm.rank + 1))
     counts = simulation.comm.sum(seeding.count_per_layer(simulation.scene, simulation.geometry, first, last))
-    for number, found in enumerate(counts.sum(axis=1)):
+    refuse_empty(counts.sum(axis=1))
+    return counts.sum(axis=0)
+
+
+def refuse_empty(counts):
+    """Raise SceneError if a body gets no particles; counts (bodies,)."""
+    for number, found in enumerate(counts):
         if found == 0:
             raise SceneError(
                 f"scene: bodies[{number}] holds no particle: it is smaller than the distance between particles, "
                 "empty, or covered by later bodies"
             )
-    return counts.sum(axis=0)
+
+
+def rehearse(scene, geometry):
+    """(bodies,) how many particles each body gets, counted a piece at a time and keeping nothing.
+
+    Raises SceneError for what the start of a run would refuse of bodies, displacements and loads.
+    """
+    counts, loaded = np.zeros(len(scene.bodies), np.int64), np.zeros(len(scene.loads), bool)
+    for number, body in enumerate(scene.bodies):
+        for seeds in seeding.seed_planes(scene, geometry, number, 0, geometry.layers):
+            if not len(seeds.id):
+                continue
+            counts[number] += len(seeds.id)
+            places = (seeds.node + seeds.offset) * geometry.cell_size
+            for tried in np.flatnonzero(~loaded):
+                loaded[tried] = scene.loads[tried].shape.contains(places).any()
+            if body.displacement is not None:
+                try:
+                    displaced(geometry, body, seeds)
+                except Unfit as complaint:
+                    raise SceneError(complaint_text(number, body, "displacement", complaint)) from None
+    refuse_empty(counts)
+    if not loaded.all():
+        raise SceneError(load_on_nothing(int(np.argmin(loaded))))
+    return counts
+
+
+def load_on_nothing(number):
+    return f"scene: loads[{number}].shape holds no particle at the start"
 
 
 def load_accelerations(simulation, seeds):
@@ -59,7 +99,7 @@ def load_accelerations(simulation, seeds):
         counts = simulation.comm.sum(np.array([np.count_nonzero(here) for here in inside]))
         volume = float(counts @ np.array(volumes))
         if volume == 0.0:
-            raise SceneError(f"scene: loads[{number}].shape holds no particle at the start")
+            raise SceneError(load_on_nothing(number))
         for body, here, total in zip(scene.bodies, inside, found, strict=True):
             if load.force is None:
                 total[here] += load.acceleration
@@ -86,19 +126,19 @@ def cloud(simulation, law, seeds, loads):
         if count:
             try:
                 key = "velocity"
-                reals[:, layout.where("v")] = vectors(simulation, body_seeds, body.velocity)
+                reals[:, layout.where("v")] = vectors(simulation.geometry, body_seeds, body.velocity)
                 key = "stress" if body.stress is not None else "deformation"
                 reals[:, layout.state_first :] = first_states(simulation, law, number, body_seeds)
                 key, offset = "displacement", body_seeds.offset
                 if body.displacement is not None:
-                    seeded.node, offset = displaced(simulation, body, body_seeds)
+                    seeded.node, offset = displaced(simulation.geometry, body, body_seeds)
                 seeded.places[:, : simulation.dim] = simulation.needs.places.from_cells(offset)
             except Unfit as complaint:
-                complaints.append(f"scene: bodies[{number}].{key}{shown(getattr(body, key))} {complaint}")
+                complaints.append(complaint_text(number, body, key, complaint))
         if layout.where("load"):
             reals[:, layout.where("load")] = loads[number][order]
         if layout.where("X"):
-            reals[:, layout.where("X")] = reference_positions(simulation, body_seeds)
+            reals[:, layout.where("X")] = reference_positions(simulation.geometry, body_seeds)
         parts.append(seeded)
         # Lower ranks own lower layers, so that the first complaint is the same for any number of ranks.
         told = [complaint for rank in simulation.comm.gather(complaints) for complaint in rank]
@@ -107,8 +147,10 @@ def cloud(simulation, law, seeds, loads):
     return Cloud.join([Cloud.empty(layout.size, simulation.dim, simulation.real), *parts])
 
 
-def shown(value):
-    return f" = {value_text(value)}" if callable(value) else ""
+def complaint_text(number, body, key, complaint):
+    """A complaint about a function of a body, or about a constant in its place."""
+    value = getattr(body, key)
+    return f"scene: bodies[{number}].{key}{f' = {value_text(value)}' if callable(value) else ''} {complaint}"
 
 
 def by_layer(simulation, seeds):
@@ -116,9 +158,8 @@ def by_layer(simulation, seeds):
     return np.argsort(seeds.node[:, simulation.geometry.axes[0]], kind="stable")
 
 
-def reference_positions(simulation, seeds):
+def reference_positions(geometry, seeds):
     """(n, dim) float64 X in m, within the domain also where it repeats."""
-    geometry = simulation.geometry
     X = (seeds.node + seeds.offset) * geometry.cell_size
     for axis in range(geometry.dim):
         if geometry.periodic[axis]:
@@ -126,22 +167,21 @@ def reference_positions(simulation, seeds):
     return X
 
 
-def in_layers(simulation, seeds, compute):
+def in_layers(geometry, seeds, compute):
     """(n, ...) what `compute` makes of the reference positions X (n, dim) of at least one seed, called layer by layer."""
-    layer = seeds.node[:, simulation.geometry.axes[0]]
-    pieces = np.split(reference_positions(simulation, seeds), np.flatnonzero(np.diff(layer)) + 1)
+    layer = seeds.node[:, geometry.axes[0]]
+    pieces = np.split(reference_positions(geometry, seeds), np.flatnonzero(np.diff(layer)) + 1)
     return np.concatenate([compute(X) for X in pieces])
 
 
-def vectors(simulation, seeds, field):
+def vectors(geometry, seeds, field):
     """(n, dim) a constant or a function of position."""
-    return in_layers(simulation, seeds, partial(start.evaluate, field, shape=(simulation.dim,)))
+    return in_layers(geometry, seeds, partial(start.evaluate, field, shape=(geometry.dim,)))
 
 
-def displaced(simulation, body, seeds):
+def displaced(geometry, body, seeds):
     """(node (n, dim), offset (n, dim) in cells) of particles at X + u. Raises Unfit outside the domain."""
-    geometry = simulation.geometry
-    cells = seeds.node + seeds.offset + vectors(simulation, seeds, body.displacement) / geometry.cell_size
+    cells = seeds.node + seeds.offset + vectors(geometry, seeds, body.displacement) / geometry.cell_size
     outside = np.zeros(len(cells), bool)
     for axis in range(geometry.dim):
         if not geometry.periodic[axis]:
@@ -149,7 +189,7 @@ def displaced(simulation, body, seeds):
             outside |= (cells[:, axis] < -beyond) | (cells[:, axis] > geometry.cells[axis] + beyond)
     if outside.any():
         first = np.flatnonzero(outside)[0]
-        X, x = reference_positions(simulation, seeds)[first], cells[first] * geometry.cell_size
+        X, x = reference_positions(geometry, seeds)[first], cells[first] * geometry.cell_size
         there = ", ".join(f"{coordinate:.6g}" for coordinate in x)
         raise Unfit(f"takes particle {seeds.id[first]} from {start.place(X)} out of the domain, to ({there}) m")
     node = np.floor(cells + geometry.stencil.round)
@@ -169,9 +209,9 @@ def first_states(simulation, law, number, seeds):
         return hydrostatic_state(simulation, law, number, seeds)
     whole = start.ArrayLaw(simulation.scene.materials[body.material], simulation.dim)
     if body.deformation is not None:
-        return in_layers(simulation, seeds, partial(start.deformed_states, whole, body.deformation))
+        return in_layers(simulation.geometry, seeds, partial(start.deformed_states, whole, body.deformation))
     axis, up = geostatic.vertical(simulation.drive.gravity)
-    depth = (body.stress.depth_from - reference_positions(simulation, seeds)[:, axis]) * up
+    depth = (body.stress.depth_from - reference_positions(simulation.geometry, seeds)[:, axis]) * up
     density = simulation.tables[law][number][DENSITY]
     return geostatic.states(whole, body.stress, density, simulation.drive.gravity, depth)
 

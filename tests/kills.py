@@ -36,10 +36,9 @@ class Kill:
 
 @dataclass(frozen=True)
 class Whole:
-    """A run that nobody disturbed: its folder, the s that it took on three ranks, and how much of each there was."""
+    """A run that nobody disturbed on three ranks: its folder, and how much of each there was."""
 
     folder: Path
-    seconds: float
     counts: dict
 
 
@@ -78,7 +77,8 @@ def undisturbed(folder):
     writes = [int((folder / f"writes.{rank}").read_text()) for rank in range(RANKS)]
     written = max(checkpoints.numbers(folder / "run" / "checkpoints")) + 1
     counts = {"step": bits.report(folder / "run")["steps"], "rename": written, "write": min(writes)}
-    return Whole(folder / "run", done.seconds, counts)
+    counts["line"] = text_of(folder / "run" / "diagnostics.csv").count("\n")
+    return Whole(folder / "run", counts)
 
 
 def attempt(kill, whole, folder):
@@ -88,7 +88,7 @@ def attempt(kill, whole, folder):
     folder.mkdir(parents=True)
     (folder / "scene.toml").write_text(scene().to_toml(), encoding="utf-8")
     if kill.moment == "outside":
-        outside = threading.Thread(target=kill_from_outside, args=(folder, kill, whole.seconds))
+        outside = threading.Thread(target=kill_from_outside, args=(folder, kill, whole.counts["line"]))
         outside.start()
         done = launch.python(command(), RANKS, LIMIT, folder)
         outside.join()
@@ -104,16 +104,26 @@ def attempt(kill, whole, folder):
     return left, bits.differences(whole.folder, folder / "run")
 
 
-def kill_from_outside(folder, kill, seconds):
-    """Wait for the process number of the rank and then for a share of the time that a run takes without its start."""
-    path, began = folder / f"pid.{kill.rank}", time.monotonic()
-    while not (path.exists() and path.read_text()) and time.monotonic() - began < LIMIT:
-        time.sleep(0.01)
-    time.sleep(0.9 * kill.when * seconds / 2)
+def kill_from_outside(folder, kill, lines):
+    """Wait until the run has come so far, told by its diagnostics, and a moment longer; before its first line the moment is
+    up to the seconds that Python needs to start."""
+    began, target = time.monotonic(), int(0.95 * kill.when * lines)
+    while time.monotonic() - began < LIMIT and (
+        not text_of(folder / f"pid.{kill.rank}") or text_of(folder / "run" / "diagnostics.csv").count("\n") < target
+    ):
+        time.sleep(0.001)
+    time.sleep(kill.share * (0.01 if target else 1.0))
     try:
-        os.kill(int(path.read_text()), signal.SIGKILL)
+        os.kill(int(text_of(folder / f"pid.{kill.rank}")), signal.SIGKILL)
     except ProcessLookupError:
         print(f"{kill}: too late", file=sys.stderr)
+
+
+def text_of(path):
+    try:
+        return path.read_text()
+    except FileNotFoundError:
+        return ""
 
 
 def wait_until_gone(run):

@@ -1,6 +1,11 @@
-"""Reading what a run left behind, or is still writing: `load` for Python, `describe` for `pmpm info`."""
+"""Reading what a run left behind, or is still writing: `load` for Python, `describe` for `pmpm info`.
 
+Files may be damaged, or made by someone else: whatever is wrong with one is told as an OutputError that names it.
+"""
+
+import contextlib
 import csv
+import math
 import tomllib
 from collections.abc import Sequence
 from functools import cached_property
@@ -13,16 +18,39 @@ from pmpm.output.run_directory import DIAGNOSTICS, RECORD, SCENE, read_record, r
 from pmpm.output.snapshots import FORMAT_VERSION
 
 WHOLE_NUMBERS = ("step", "particles")
+ATTRIBUTES = {"time": float, "step": int, "dt": float, "title": str, "dim": int, "precision": str, "materials": list}
+# What h5py raises for what it finds in damaged files, besides OSError: it has no kind of error of its own.
+DAMAGES = (
+    OSError,
+    KeyError,
+    ValueError,
+    TypeError,
+    RuntimeError,
+    AttributeError,
+    IndexError,
+    ArithmeticError,
+    MemoryError,
+)
 
 
 def load(path):
     """The run in the folder `path`, finished or running, as a `Run`. OutputError if there is none."""
-    path = Path(path)
-    if not path.exists():
-        raise OutputError(f"{path} does not exist")
+    path = existing(path)
     if read_record(path) is None:
         raise OutputError(f"{path} does not hold a run: no {RECORD} of pmpm in it")
     return Run(path)
+
+
+def existing(path):
+    """A path at which there is something; OutputError if there is nothing, or the system cannot even say so."""
+    path = Path(path)
+    try:
+        there = path.exists()
+    except OSError as error:  # a name that is too long
+        raise OutputError(f"{str(path)[:80]} ... cannot be looked up: {error.strerror}") from error
+    if not there:
+        raise OutputError(f"{path} does not exist")
+    return path
 
 
 class Run:
@@ -83,8 +111,10 @@ class Snapshot:
     @cached_property
     def attributes(self):
         """What the file says of itself: time, step, dt, title, dim, precision, materials."""
-        with open_snapshot(self.path) as file:
-            return {name: plain_attribute(value) for name, value in file["pmpm"].attrs.items()}
+        with reading(self.path) as file:
+            told = {name: plain_attribute(value) for name, value in file["pmpm"].attrs.items()}
+            check_attributes(told)
+            return told
 
     @property
     def time(self):
@@ -99,35 +129,38 @@ class Snapshot:
     @property
     def x(self):
         """(count, dim) positions in m."""
-        with open_snapshot(self.path) as file:
+        with reading(self.path) as file:
             return file["VTKHDF/Points"][:, : self.attributes["dim"]]
 
     @cached_property
     def fields(self):
         """Names of the particle fields in the file."""
-        with open_snapshot(self.path) as file:
+        with reading(self.path) as file:
             return sorted(file["VTKHDF/PointData"])
 
     @cached_property
     def laws(self):
         """{law: names of its own state in the file}."""
-        with open_snapshot(self.path) as file:
-            return {law: sorted(group) for law, group in file["pmpm"].items()}
+        with reading(self.path) as file:
+            return {law: sorted(group.keys()) for law, group in file["pmpm"].items()}
 
     def law_field(self, law, name):
-        """A law's own state over that law's particles only, in the order of the file."""
-        with open_snapshot(self.path) as file:
+        """A law's own state over that law's particles only, in the order of the file. KeyError if it is not in it."""
+        if name not in self.laws.get(law, ()):
+            raise KeyError(f"snapshot {self.path} holds no {law}/{name}; it holds {self.laws}")
+        with reading(self.path) as file:
             return file["pmpm"][law][name][...]
 
     def __getattr__(self, name):
         if name.startswith("_"):
             raise AttributeError(name)
-        with open_snapshot(self.path) as file:
+        with reading(self.path) as file:
             held = file["VTKHDF/PointData"]
-            if name not in held:
-                raise AttributeError(f"snapshot {self.path} holds no {name!r}; it holds x, {', '.join(sorted(held))}")
-            values = held[name][...]
-        return values[:, : self.attributes["dim"]] if name == "velocity" else values
+            if name in held:
+                values = held[name][...]
+                return values[:, : self.attributes["dim"]] if name == "velocity" else values
+            known = ", ".join(sorted(held))
+        raise AttributeError(f"snapshot {self.path} holds no {name!r}; it holds x, {known}")
 
     def __repr__(self):
         return f"Snapshot({str(self.path)!r})"
@@ -139,15 +172,69 @@ def open_snapshot(path):
 
     try:
         file = h5py.File(path, "r")
-    except OSError as error:
+    except (OSError, ValueError, RuntimeError) as error:
         raise OutputError(f"{path} cannot be read as a snapshot: {error}") from error
-    version = file["pmpm"].attrs.get("format_version") if "pmpm" in file and "VTKHDF/Points" in file else None
-    if version == FORMAT_VERSION:
-        return file
-    file.close()
+    try:
+        check_version(file, path)
+    except DAMAGES as error:
+        file.close()
+        raise OutputError(damage(path, error)) from error
+    except OutputError:
+        file.close()
+        raise
+    return file
+
+
+@contextlib.contextmanager
+def reading(path):
+    """A snapshot while it is being read: whatever does not fit, or cannot be read, raises OutputError."""
+    with open_snapshot(path) as file:
+        try:
+            check_layout(file)
+            yield file
+        except DAMAGES as error:
+            raise OutputError(damage(path, error)) from error
+
+
+def damage(path, error):
+    return f"{path} is damaged: {' '.join(str(error).split()) or type(error).__name__}"
+
+
+def check_version(file, path):
+    """Raise OutputError for an HDF5 file that is no snapshot, or one of another version."""
+    version = None
+    if "pmpm" in file and "VTKHDF/Points" in file:
+        version = plain_attribute(file["pmpm"].attrs.get("format_version"))
     if version is None:
         raise OutputError(f"{path} is an HDF5 file but not a snapshot of pmpm")
-    raise OutputError(f"{path} has snapshot format_version {version}; this pmpm reads {FORMAT_VERSION}")
+    if version != FORMAT_VERSION:
+        raise OutputError(f"{path} has snapshot format_version {version}; this pmpm reads {FORMAT_VERSION}")
+
+
+def check_layout(file):
+    """Raise ValueError unless groups are groups, and datasets have a row for each particle."""
+    import h5py
+
+    points, fields, pmpm = file["VTKHDF/Points"], file["VTKHDF/PointData"], file["pmpm"]
+    if not isinstance(points, h5py.Dataset) or points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
+        raise ValueError("VTKHDF/Points holds no points")
+    for group in (fields, pmpm, *pmpm.values()):
+        if not isinstance(group, h5py.Group):
+            raise ValueError(f"{group.name} is no group")
+    for dataset in (item for group in (fields, *pmpm.values()) for item in group.values()):
+        if not isinstance(dataset, h5py.Dataset) or not dataset.shape or dataset.dtype.kind not in "fiu":
+            raise ValueError(f"{dataset.name} holds no numbers of particles")
+        if dataset.parent.name == fields.name and len(dataset) != len(points):
+            raise ValueError(f"{dataset.name} has {len(dataset)} rows for {len(points)} particles")
+
+
+def check_attributes(told):
+    """Raise ValueError unless the file says of itself what all snapshots say."""
+    for name, kind in ATTRIBUTES.items():
+        if type(told.get(name)) is not kind:
+            raise ValueError(f"attribute {name} is {told.get(name)!r}")
+    if told["dim"] not in (2, 3):
+        raise ValueError(f"attribute dim is {told['dim']}")
 
 
 def plain_attribute(value):
@@ -163,9 +250,11 @@ def read_diagnostics(path):
     """{name: array} of a CSV file of numbers. A last line that is still being written is left out."""
     try:
         text = Path(path).read_text(encoding="utf-8")
+        rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
     except FileNotFoundError:
         return {}
-    rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
+    except (OSError, ValueError, csv.Error) as error:
+        raise OutputError(f"{path} cannot be read: {error}") from error
     if not rows:
         return {}
     names, lines = rows[0], rows[1:]
@@ -177,15 +266,13 @@ def read_diagnostics(path):
             name: np.array(column, np.int64 if name in WHOLE_NUMBERS else np.float64)
             for name, column in zip(names, columns, strict=True)
         }
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise OutputError(f"{path} is damaged: {error}") from error
 
 
 def describe(path):
     """What a run directory or a snapshot file holds, as lines for a person. OutputError for anything else."""
-    path = Path(path)
-    if not path.exists():
-        raise OutputError(f"{path} does not exist")
+    path = existing(path)
     if path.is_file():
         return describe_snapshot(Snapshot(path))
     if read_record(path) is None:
@@ -196,13 +283,14 @@ def describe(path):
 def describe_run(run):
     record, snapshots, diagnostics = run.record, run.snapshots, run.diagnostics
     wall = f" after {record['wall_seconds']} s" if "wall_seconds" in record else ""
+    hosts, versions = table_in(record, "hosts"), table_in(record, "versions")
     lines = [
         f"run           {run.path}",
         f"title         {title_of(run.path / SCENE)}",
         f"status        {run.status}{wall}",
         f"started       {record.get('started', 'unknown')}",
-        f"ranks         {record.get('ranks', 'unknown')} on {', '.join(record.get('hosts', {})) or 'unknown'}",
-        f"pmpm          {record.get('versions', {}).get('pmpm') or 'unknown version'}",
+        f"ranks         {record.get('ranks', 'unknown')} on {', '.join(hosts) or 'unknown'}",
+        f"pmpm          {versions.get('pmpm') or 'unknown version'}",
         f"snapshots     {len(snapshots)}",
     ]
     if len(snapshots):
@@ -216,9 +304,14 @@ def describe_run(run):
     return "\n".join(lines)
 
 
+def table_in(record, name):
+    """A table of run.json, empty if there is none."""
+    return record[name] if isinstance(record.get(name), dict) else {}
+
+
 def describe_snapshot(snapshot):
     told = snapshot.attributes
-    with open_snapshot(snapshot.path) as file:
+    with reading(snapshot.path) as file:
         fields = [f"  {name:<20} {kind_of(item)}" for name, item in sorted(file["VTKHDF/PointData"].items())]
         states = [
             f"  {law + '/' + name:<20} {kind_of(item)}, {len(item)} particles of {law}"
@@ -240,7 +333,7 @@ def describe_snapshot(snapshot):
 
 
 def kind_of(dataset):
-    columns = int(np.prod(dataset.shape[1:], dtype=np.int64))
+    columns = math.prod(dataset.shape[1:])
     unit = plain_attribute(dataset.attrs["unit"]) if "unit" in dataset.attrs else "-"
     return f"{dataset.dtype.name} {f'x {columns}' if columns > 1 else '':<4} {unit}"
 
@@ -248,5 +341,5 @@ def kind_of(dataset):
 def title_of(path):
     try:
         return tomllib.loads(path.read_text(encoding="utf-8")).get("title", "")
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return "(scene.toml cannot be read)"

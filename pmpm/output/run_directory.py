@@ -279,7 +279,7 @@ def read_record(place):
     """What run.json of the folder `place` holds, or None if that folder holds no run."""
     try:
         record = json.loads((Path(place) / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     if not isinstance(record, dict) or record.get("format") != FORMAT or "status" not in record:
         return None
@@ -367,7 +367,7 @@ def read_lock(place):
         return None
     try:
         lock = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return lock if isinstance(lock, dict) else {}
 
@@ -377,6 +377,8 @@ def read_text(path):
         return path.read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
         return None
+    except OSError:  # no file, but something: as good as a lock that nobody can read
+        return ""
 
 
 def is_live(lock):
@@ -388,7 +390,7 @@ def is_live(lock):
         return True
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError):
         return False
     except PermissionError:
         pass

@@ -16,6 +16,7 @@ from pmpm.scene.shapes import Shape, wrong_length
 from pmpm.scene.values import check_vector, flag, vector
 
 Path = tuple[str | int, ...]
+NODES_AT_A_TIME, MOST_NODES_TRIED = 1 << 17, 20_000_000
 
 
 # ---- velocities that may change with time --------------------------------------------------------------------------------
@@ -90,6 +91,31 @@ class Motion(Part):
     @field_serializer("velocity")
     def recorded_velocity(self, velocity: Any) -> Any:
         return record(velocity)
+
+
+def reaches_out(shape: Any, size: tuple[float, ...]) -> bool:
+    """Say whether a shape reaches out of the domain."""
+    low, high = shape.bounds()
+    return bool(np.any(low < 0.0) or np.any(high > np.array(size)))
+
+
+def holds_node(shape: Any, geometry: Any) -> bool:
+    """Say whether a node of the grid lies in a shape; taken for granted where very many would have to be tried."""
+    stencil, dx = geometry.stencil, geometry.cell_size
+    low, high = shape.bounds()
+    cells = np.array(geometry.cells)
+    with np.errstate(over="ignore"):
+        first = np.clip(np.ceil(low / dx) - 1.0, -stencil.reach_low, cells + stencil.reach_high).astype(np.int64)
+        last = np.clip(np.floor(high / dx) + 1.0, -stencil.reach_low - 1, cells + stencil.reach_high).astype(np.int64)
+    widths = np.maximum(last - first + 1, 0)
+    count = float(np.prod(widths, dtype=float))
+    if count > MOST_NODES_TRIED:
+        return True
+    for begin in range(0, int(count), NODES_AT_A_TIME):
+        numbers = np.unravel_index(np.arange(begin, min(begin + NODES_AT_A_TIME, int(count))), widths)
+        if shape.contains((first + np.stack(numbers, -1)) * dx).any():
+            return True
+    return False
 
 
 # ---- body force ----------------------------------------------------------------------------------------------------------

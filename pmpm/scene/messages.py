@@ -44,13 +44,18 @@ def path_text(path: Iterable[str | int]) -> str:
             text += f"[{part}]"
         else:
             name = part if re.fullmatch(r"[A-Za-z0-9_-]+", part) else json.dumps(part, ensure_ascii=False)
+            name = cut_short(name)
             text += f".{name}" if text else name
     return text
 
 
 def value_text(value: Any) -> str:
     """Write a value as it would stand in the scene file, on one line and cut short."""
-    text = literal(value)
+    return cut_short(literal(value))
+
+
+def cut_short(text: str) -> str:
+    """Cut a text that would fill the screen."""
     return text if len(text) <= WIDTH else text[: WIDTH - 4] + " ..."
 
 

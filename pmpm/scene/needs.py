@@ -12,6 +12,7 @@ from pmpm.scene.errors import SceneError
 from pmpm.state.grid import Geometry
 
 FACES = ("min", "max")
+MOST_IDS = 2**63  # ids are 64-bit integers
 MOST_NODES = 75_000_000  # of a plane: 7 planes of 4 reals are counted in 32 bits
 
 
@@ -44,7 +45,21 @@ def grid_geometry(scene, needs):
     """The grid of a scene. Raises SceneError where it cannot hold the scene."""
     geometry = Geometry(scene.cells, needs.periodic, scene.domain.cell_size, needs.axes, needs.stencil)
     check_axes(geometry)
+    check_ids(scene)
+    for number, motion in enumerate(scene.motions):
+        if motion.moves and forcing.reaches_out(motion.shape, scene.domain.size):
+            continue  # it may come in later
+        if not forcing.holds_node(motion.shape, geometry):
+            raise SceneError(f"scene: motions[{number}].shape holds no node of the grid: it moves nothing")
     return geometry
+
+
+def check_ids(scene):
+    """Raise SceneError where there are more places for particles than numbers for them."""
+    places = math.prod(scene.cells) * sum(body.particles_per_cell for body in scene.bodies)
+    if places >= MOST_IDS:
+        text = f"{float(places):.3g} places for particles in the domain, at most {float(MOST_IDS):.3g} can be numbered"
+        raise SceneError(f"scene: domain.cell_size: {text}")
 
 
 def check_axes(geometry):
@@ -76,8 +91,11 @@ def law_table(scene, law):
             rows.append(None)
     width = max(len(row) for row in rows if row is not None)
     table = np.array([row if row is not None else [0.0] * width for row in rows])
-    with np.errstate(over="ignore"):
-        fits = np.isfinite(table.astype(scene.method.precision)).all(axis=1)
+    with np.errstate(over="ignore", under="ignore"):
+        rounded = table.astype(scene.method.precision)
+    # Kernels take denormal numbers as zero.
+    tiny = np.abs(rounded[:, :3]) < np.finfo(rounded.dtype).tiny
+    fits = np.isfinite(rounded).all(axis=1) & ~(tiny & (table[:, :1] > 0.0)).any(axis=1)
     if not fits.all():
         name = scene.bodies[int(np.argmin(fits))].material
         text = f"mass, volume or a modulus of a particle is beyond the range of {scene.method.precision}"

@@ -19,7 +19,7 @@ from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_err
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import record
 from pmpm.scene.shapes import AXES, Shape, wrong_length
-from pmpm.scene.values import check_word, choice, flag, names, number, tables, text, vector, whole
+from pmpm.scene.values import CONTROLS, check_word, choice, flag, names, number, tables, text, vector, whole
 from pmpm.state.fields import Field as StoredField
 
 WALLS = ("stick", "slip", "separate", "friction", "free")
@@ -291,6 +291,9 @@ def material_table(value: Any) -> Any:
         raise Problems(Problem((), "must have at least one material"))
     if "" in value:
         raise Problems(Problem(("",), "must have a name"))
+    odd = [name for name in value if CONTROLS.search(name)]
+    if odd:
+        raise Problems(*(Problem((name,), "must hold no control characters") for name in odd))
     return dict(value)
 
 

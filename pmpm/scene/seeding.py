@@ -1,8 +1,11 @@
 """Fill the bodies of a scene with particles: each rank only the layers it owns, the same particles for any rank count."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
+
+PLACES = 1 << 17  # that are tried at a time
 
 
 @dataclass
@@ -65,29 +68,64 @@ def count_per_layer(scene, geometry, first_layer, last_layer):
     counts = np.zeros((len(scene.bodies), geometry.layers), np.int64)
     for number in range(len(scene.bodies)):
         for seeds in seed_planes(scene, geometry, number, first_layer, last_layer):
-            counts[number] += np.bincount(seeds.node[:, geometry.axes[0]], minlength=geometry.layers)
+            add_counts(counts[number], seeds.node[:, geometry.axes[0]])
     return counts
 
 
+def add_counts(counts, layer):
+    """Add how often each layer occurs, without a look at all the others: there may be millions."""
+    if len(layer):
+        first = layer.min()
+        found = np.bincount(layer - first)
+        counts[first : first + len(found)] += found
+
+
 def seed_planes(scene, geometry, number, first_layer, last_layer):
-    """Seeds of body `number` in these layers, one plane of cells after another."""
+    """Seeds of body `number` in these layers: one plane of cells after another, in pieces that fit into a core's cache."""
     slab, body = geometry.axes[0], scene.bodies[number]
-    first_id = id_offsets(scene)[number]
-    low, high = body.shape.bounds()
-    first_cell = np.clip(np.floor(np.asarray(low) / geometry.cell_size).astype(np.int64) - 1, 0, None)
-    last_cell = np.minimum(np.ceil(np.asarray(high) / geometry.cell_size).astype(np.int64) + 1, geometry.cells)
-    cross = [np.arange(first_cell[a], last_cell[a]) for a in range(geometry.dim)]
+    first_id, later = id_offsets(scene)[number], meeting_later_bodies(scene, number)
+    first_cell, last_cell = surrounding_cells(scene, body)
+    widths = np.maximum(last_cell - first_cell, 0)
+    widths[slab] = 1
+    in_plane, piece = int(np.prod(widths)), max(1, PLACES // body.particles_per_cell)
     # Layers centred on nodes hold halves of two cells, layer 0 of a periodic axis also one of the last cell.
+    planes = range(max(first_cell[slab], first_layer - 1), min(last_cell[slab], last_layer + 1))
     wrapped = geometry.cells[slab] - 1 if geometry.periodic[slab] and first_layer == 0 else None
-    for plane in range(first_cell[slab], last_cell[slab]):
-        if first_layer - 1 <= plane <= last_layer or plane == wrapped:
-            cross[slab] = np.array([plane])
-            cells = np.stack(np.meshgrid(*cross, indexing="ij"), -1).reshape(-1, geometry.dim)
-            yield seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer)
+    held = wrapped is not None and first_cell[slab] <= wrapped < last_cell[slab]
+    beyond = [wrapped] if held and wrapped not in planes else []
+    for plane in itertools.chain(planes, beyond):
+        corner = np.where(np.arange(geometry.dim) == slab, plane, first_cell)
+        for first in range(0, in_plane, piece):
+            within = np.unravel_index(np.arange(first, min(first + piece, in_plane)), widths)
+            cells = corner + np.stack(within, -1)
+            yield seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer, later)
 
 
-def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer):
-    """Seeds of body `number` in these cells, as far as they lie in the layers."""
+def surrounding_cells(scene, body):
+    """((dim,) first cell, (dim,) last cell + 1) of the box of cells around a body, one cell wider for round-off."""
+    with np.errstate(over="ignore"):
+        low, high = (np.asarray(corner) / scene.domain.cell_size for corner in body.shape.bounds())
+    cells = np.array(scene.cells)
+    # Cut before the numbers become integers, for they may be as large as they like.
+    first = np.clip(np.floor(low) - 1.0, 0.0, cells).astype(np.int64)
+    return first, np.clip(np.ceil(high) + 1.0, 0.0, cells).astype(np.int64)
+
+
+def meeting_later_bodies(scene, number):
+    """The bodies after body `number` whose surroundings meet its own: where they lie it has no particles."""
+    later = scene.bodies[number + 1 :]
+    if not later:
+        return []
+    first, last = surrounding_cells(scene, scene.bodies[number])
+    return [body for body in later if all_meet(first, last, *surrounding_cells(scene, body))]
+
+
+def all_meet(first, last, other_first, other_last):
+    return bool(np.all((first < other_last) & (other_first < last)))
+
+
+def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer, later_bodies):
+    """Seeds of body `number` in these cells, as far as they lie in the layers and in none of the later bodies."""
     body, count = scene.bodies[number], scene.bodies[number].particles_per_cell
     places = lattice(count, geometry.dim)
     places = jittered(cells, count, number) if places is None else np.broadcast_to(places, (len(cells), *places.shape))
@@ -103,7 +141,7 @@ def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer
     here = np.flatnonzero((layer >= first_layer) & (layer < last_layer))
     x = ((cells[:, None, :] + places).reshape(-1, geometry.dim)[here]) * geometry.cell_size
     inside = body.shape.contains(x)
-    for later in scene.bodies[number + 1 :]:
+    for later in later_bodies:
         inside &= ~later.shape.contains(x)
     here = here[inside]
     return Seeds(node[here].astype(np.int32), offset[here], ids[here])

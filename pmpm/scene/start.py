@@ -105,12 +105,13 @@ def check_field(field: Any, X: np.ndarray, shape: tuple[int, ...]) -> None:
 
 
 def largest_speed(body: Any, dim: int) -> float:
-    """Return the largest speed that a body starts with, m/s; of a function, at the places where it is tried."""
-    X = places_in([body.shape], dim)
-    if callable(body.velocity) and not len(X):
+    """Return the largest speed that a body starts with, m/s; of a function, at the places where it is tried. May be inf."""
+    X = places_in([body.shape], dim) if callable(body.velocity) else np.zeros((1, dim))
+    if not len(X):
         return 0.0
-    v = evaluate(body.velocity, X if len(X) else np.zeros((1, dim)), (dim,))
-    return float(np.sqrt((v * v).sum(axis=1)).max())
+    v = evaluate(body.velocity, X, (dim,))
+    with np.errstate(over="ignore"):
+        return float(np.sqrt((v * v).sum(axis=1)).max())
 
 
 # ---- the record ----
@@ -182,8 +183,11 @@ def wrong_start(body: Any, dim: int) -> Iterator[Problem]:
 
 def wrong_functions(body: Any, shapes: Sequence[Any], law: ArrayLaw) -> Iterator[Problem]:
     """Yield what shows when the functions of a body are tried on a few places; shapes: its own and those of later bodies."""
-    dim, X = law.dim, places_in(shapes, law.dim)
-    for key, shape in (("velocity", (dim,)), ("displacement", (dim,)), ("deformation", (dim, dim))):
+    dim = law.dim
+    fields = {"velocity": (dim,), "displacement": (dim,), "deformation": (dim, dim)}
+    # Constants need no places: with thousands of bodies these would take long.
+    X = places_in(shapes, dim) if any(callable(getattr(body, key)) for key in fields) else np.zeros((0, dim))
+    for key, shape in fields.items():
         field = getattr(body, key)
         try:
             if field is not None:

@@ -1,6 +1,7 @@
 """The kinds of values a scene key can take; each checks type, finiteness and range before anything is allocated."""
 
 import math
+import re
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -9,6 +10,8 @@ from pydantic import BeforeValidator
 from pmpm.scene.messages import Problem, Problems, known_text
 
 Check = Callable[[Any], Any]
+# What XML cannot hold, and what makes a terminal do something; lines and tabs may be.
+CONTROLS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
 def number(unit: str = "-", only: float | None = None, **bounds: float | None) -> BeforeValidator:
@@ -118,11 +121,13 @@ def flag() -> BeforeValidator:
 
 
 def text() -> BeforeValidator:
-    """Accept a string."""
+    """Accept a string that can stand in the index of the snapshots and on a screen."""
 
     def check(value: Any) -> Any:
         if not isinstance(value, str):
             raise Problems(Problem((), "must be a text in quotes", value))
+        if CONTROLS.search(value):
+            raise Problems(Problem((), "must hold no control characters", value))
         return value
 
     return BeforeValidator(check)

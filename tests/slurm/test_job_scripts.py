@@ -1,5 +1,6 @@
 """What the scripts of long runs do with an exit status, tried with fake commands in the place of a batch system."""
 
+import os
 import signal
 import subprocess
 import time
@@ -68,7 +69,16 @@ class Batch:
         )
 
     def run(self, **more):
-        return self.start(**more).wait(timeout=30)
+        return self.end_of(self.start(**more))
+
+    def end_of(self, process):
+        """The exit status; a script that does not end within 30 s is ended with all it has started."""
+        try:
+            return process.wait(timeout=30)
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
 
     def again(self):
         """What was asked of the batch system, call by call."""
@@ -83,7 +93,7 @@ class Batch:
         while not (self.folder / "started").exists() and time.monotonic() < until:
             time.sleep(0.05)
         process.send_signal(number)
-        return process.wait(timeout=30)
+        return self.end_of(process)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,0 +1,233 @@
+"""What a run will take, told before anything is counted or allocated: particles, memory, time steps; and what is too much."""
+
+import math
+import os
+import resource
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pmpm.physics import stability
+from pmpm.scene import start
+from pmpm.scene.errors import SceneError
+from pmpm.scene.seeding import meeting_later_bodies, surrounding_cells
+from pmpm.state.derived import PARAMETERS
+from pmpm.state.fields import Layout
+from pmpm.timestep import MOVE
+
+SAMPLES, FEWEST_SAMPLES, ALL_SAMPLES = 4096, 32, 1 << 19  # places tried in a body, and in all of them together
+MOST_COUNTED = 20_000_000  # places that are gone through one by one; more are estimated
+MOST_STEPS = 1e11  # years of a laptop on a hundred particles
+ID_BYTES = 8
+# Of each particle while a simulation is being filled, measured: its fields this many times, and so many bytes per axis of
+# places and numbers of cells. Afterwards its fields alone are left.
+FILLING_COPIES, FILLING_BYTES = 3, 160
+LAYER_BYTES = 160  # of a layer of the grid besides its nodes: boxes, counts, starts
+MEMORY_LIMIT = "PMPM_MEMORY_LIMIT"
+CGROUPS = (  # limit and use of the memory of a container or a batch job
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
+
+
+# ---- particles ---------------------------------------------------------------------------------------------------------------
+
+
+def places_to_try(scene):
+    """How many places are gone through one by one to count the particles of a scene: a float, for it may be astronomical."""
+    cells = [
+        np.prod(np.maximum(np.subtract(*reversed(surrounding_cells(scene, b))), 0), dtype=float) for b in scene.bodies
+    ]
+    layers = len(scene.bodies) * float(max(scene.cells))
+    return layers + math.fsum(n * body.particles_per_cell for n, body in zip(cells, scene.bodies, strict=True))
+
+
+def particles(scene):
+    """(bodies,) about how many particles each body gets: from the share of a few places in its bounds that lie in it."""
+    count = max(FEWEST_SAMPLES, min(SAMPLES, ALL_SAMPLES // len(scene.bodies)))
+    return np.array([particles_of(scene, number, count) for number in range(len(scene.bodies))])
+
+
+def particles_of(scene, number, samples):
+    body, dx = scene.bodies[number], scene.domain.cell_size
+    low, high = body.shape.bounds()
+    low, high = np.maximum(low, 0.0), np.minimum(high, scene.domain.size)
+    if not np.all(low < high):
+        return 0.0
+    places = low + (high - low) * spread_places(samples, scene.dim)
+    inside = body.shape.contains(places)
+    for later in meeting_later_bodies(scene, number):
+        inside &= ~later.shape.contains(places)
+    return float(np.prod((high - low) / dx)) * body.particles_per_cell * np.count_nonzero(inside) / samples
+
+
+def spread_places(count, dim):
+    """(count, dim) places spread evenly over the unit square or cube, always the same: multiples of powers of the root of
+    x^(dim + 1) = x + 1 (M. Roberts 2018, a generalisation of the golden ratio)."""
+    root = 1.32471795724474602596 if dim == 2 else 1.22074408460575947536
+    return np.modf(np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, dim + 1.0))[0]
+
+
+def bytes_per_particle(needs):
+    """Of each law {field: bytes that a particle holds of it}, the id included: there is nothing else per particle."""
+    layouts = [Layout.of(law, needs.dim, needs.carried(law)) for law in needs.laws]
+    real = np.dtype(needs.precision).itemsize
+    return [{f.name: f.size(needs.dim) * real for f in layout.fields} | {"id": ID_BYTES} for layout in layouts]
+
+
+# ---- memory ------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Bytes over all ranks: of the particles while they move, the same while they are being made, of the grid."""
+
+    particles: float
+    filling: float
+    grid: float
+
+
+def memory(scene, needs, geometry, counts):
+    """What the particles, `counts` per body, and the grid of a scene take."""
+    from pmpm.kernels.needs import law_needs
+
+    sizes = [sum(fields.values()) for fields in bytes_per_particle(needs)]
+    materials = [scene.materials[body.material] for body in scene.bodies]
+    of_body = np.array([sizes[needs.laws.index(law_needs(m.model, m.parameters))] for m in materials], float)
+    filling = FILLING_COPIES * of_body + FILLING_BYTES * scene.dim
+    return Memory(float(counts @ of_body), float(counts @ filling), grid_bytes(needs, geometry))
+
+
+def grid_bytes(needs, geometry):
+    """Bytes of the nodes, of what FLIP and F-bar keep besides, and of what there is per layer."""
+    nodes = float(geometry.extent(geometry.axes[0])) * math.prod(geometry.plane_shape)
+    grids = 1 + needs.scheme.blends + 2 * needs.f_bar
+    return nodes * 4 * np.dtype(needs.precision).itemsize * grids + geometry.layers * LAYER_BYTES
+
+
+def available_memory():
+    """Bytes that this machine has left for us, infinite where nothing tells. Raises SceneError for a wrong PMPM_MEMORY_LIMIT.
+
+    The smallest of what the system, the container or batch job and the shell allow; PMPM_MEMORY_LIMIT overrides them all.
+    """
+    told = os.environ.get(MEMORY_LIMIT)
+    if told:
+        if not (told.isdecimal() and int(told) > 0):
+            raise SceneError(f"environment: {MEMORY_LIMIT} = {told!r} must be a whole number of bytes > 0")
+        return float(told)
+    return min(system_memory(), shell_memory(), *(group_memory(*files) for files in CGROUPS))
+
+
+def system_memory():
+    lines = read(Path("/proc/meminfo")).splitlines()
+    kilobytes = [line.split()[1] for line in lines if line.startswith("MemAvailable:")]
+    return 1024.0 * int(kilobytes[0]) if kilobytes else math.inf
+
+
+def shell_memory():
+    limit, used = resource.getrlimit(resource.RLIMIT_AS)[0], read(Path("/proc/self/statm")).split()
+    if limit == resource.RLIM_INFINITY or not used:
+        return math.inf
+    return max(float(limit) - float(used[0]) * resource.getpagesize(), 0.0)
+
+
+def group_memory(limit_file, use_file):
+    limit, use = read(Path(limit_file)).strip(), read(Path(use_file)).strip()
+    return max(float(limit) - float(use), 0.0) if limit.isdecimal() and use.isdecimal() else math.inf
+
+
+def read(path):
+    try:
+        return path.read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return ""
+
+
+def refuse_memory(scene, needs, geometry, comm):
+    """Raise SceneError, on all ranks, where a run would not fit into the machines that it is on. Collective."""
+    counts = particles(scene)
+    taken = memory(scene, needs, geometry, counts)
+    per_rank = (taken.filling + taken.grid) / comm.size
+    told = comm.gather((socket.gethostname(), memory_here()))
+    for _, available in told:
+        if isinstance(available, str):
+            raise SceneError(available)
+    hosts = [host for host, _ in told]
+    short = [(available, host) for host, available in told if per_rank * hosts.count(host) > available]
+    if short:
+        available, host = min(short)
+        raise SceneError(too_much_text(counts, taken, comm.size, hosts.count(host), available))
+
+
+def memory_here() -> float | str:
+    """What this machine has available, or the complaint about it: other ranks must hear of it before anyone raises it."""
+    try:
+        return available_memory()
+    except SceneError as complaint:
+        return str(complaint)
+
+
+def too_much_text(counts, taken, ranks, ranks_here, available):
+    shared = f" for its {ranks_here} ranks" if ranks_here > 1 else ""
+    return (
+        f"scene: does not fit into memory: about {float(counts.sum()):.3g} particles take {amount(taken.filling / ranks)} "
+        f"and the grid {amount(taken.grid / ranks)} per rank on {ranks} ranks at the start; this machine has "
+        f"{amount(available)} available{shared}: give a larger domain.cell_size, fewer particles_per_cell, or more machines "
+        f"({MEMORY_LIMIT}, in bytes, says otherwise)"
+    )
+
+
+def amount(size):
+    """Bytes as a person says them."""
+    for unit, name in ((1e12, "TB"), (1e9, "GB")):
+        if size >= unit:
+            return f"{size / unit:.3g} {name}"
+    return f"{size / 1e6:.1f} MB"
+
+
+# ---- time steps --------------------------------------------------------------------------------------------------------------
+
+
+def stable_bounds(scene, needs, tables):
+    """(by waves, by speed) the longest step in s of undeformed particles, for cfl = 1; infinite where nothing bounds it."""
+    from pmpm.kernels import targets
+
+    dx, wave = scene.domain.cell_size, 0.0
+    identity = tuple(map(float, np.eye(scene.dim).ravel()))
+    for law, table in zip(needs.laws, tables, strict=True):
+        target = targets.plain(la=needs.tensors, law=law.module, **dict(law.choices))
+        for row in np.unique(table[table[:, 0] > 0], axis=0):
+            params = tuple(row[PARAMETERS:])
+            rest = target.compile(law.module.state_at)(identity, params)
+            wave = max(wave, target.compile(stability.signal_speed_squared)(rest, params, row[2], 1.0 / dx))
+    wave = math.sqrt(wave)
+    speed = max(start.largest_speed(body, scene.dim) for body in scene.bodies)
+    return (
+        dx / (wave * math.sqrt(scene.dim)) if wave > 0.0 else math.inf,
+        MOVE * dx / speed if speed > 0.0 else math.inf,
+    )
+
+
+def first_step(scene, needs, tables):
+    """The first time step in s, from the undeformed wave speeds."""
+    if scene.time.step is not None:
+        return scene.time.step
+    by_waves, by_speed = stable_bounds(scene, needs, tables)
+    return min(scene.time.cfl * by_waves, by_speed)
+
+
+def refuse_steps(time, dt):
+    """Raise SceneError if `dt`, the first step (s), is so short that the end is never reached; time: that of the scene."""
+    if dt * MOST_STEPS >= time.end:
+        return
+    count = f"{time.end / dt:.2g}" if dt * 1e300 > time.end else "endlessly many"
+    if time.step is not None:
+        raise SceneError(
+            f"scene: time.step = {time.step} s is too short: {count} steps to time.end = {time.end} s, at most {MOST_STEPS:g}"
+        )
+    raise SceneError(
+        f"scene: time.end = {time.end} s is too far: {count} steps of {dt:.3g} s, at most {MOST_STEPS:g}; waves and particles "
+        "cross a cell in such a step: give a larger domain.cell_size, softer materials or slower bodies"
+    )
