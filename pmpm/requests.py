@@ -3,6 +3,7 @@
 A rank only notes it; `Simulation.ask` lets all ranks agree, so that all stop, or write, after the same step.
 """
 
+import atexit
 import contextlib
 import os
 import re
@@ -38,13 +39,15 @@ class Requests:
         self.longest_checkpoint: float | None = None
 
     @contextlib.contextmanager
-    def listening(self):
-        """Take signals as requests meanwhile; a second SIGINT ends the process at once."""
+    def listening(self, early=()):
+        """Take signals as requests meanwhile, after those that came `early`; a second SIGINT ends the process at once."""
         if threading.current_thread() is not threading.main_thread():
             yield self
             return
         before = {number: signal.signal(number, self.note) for number in (*STOPPING, CHECKPOINTING)}
         try:
+            for number in early:
+                self.note(number, None)
             yield self
         finally:
             for number, handler in before.items():
@@ -84,6 +87,34 @@ class Requests:
         """Take note of a checkpoint just written, whoever asked for it."""
         self.longest_checkpoint = seconds
         self.last_checkpoint = self.last_step = clock.monotonic()
+
+
+@contextlib.contextmanager
+def keeping_signals():
+    """Keep what comes while a run is not listening yet: yields the list of the signals, for `listening`."""
+    early: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield early
+        return
+
+    def keep(number, frame):
+        if number == signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+        early.append(number)
+
+    before = {number: signal.signal(number, keep) for number in (*STOPPING, CHECKPOINTING)}
+    atexit.register(stop_listening)
+    try:
+        yield early
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def stop_listening():
+    """Let no signal change the exit status of a run that is over: it takes MPI a while to say good-bye."""
+    for number in (*STOPPING, CHECKPOINTING):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def reason(asked):
