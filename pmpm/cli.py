@@ -197,11 +197,19 @@ def check_options(options):
 def run(options, comm):
     check_options(options)
     from pmpm import requests
+
+    with requests.keeping_signals() as early:
+        return run_or_go_on(options, comm, early)
+
+
+def run_or_go_on(options, comm, early):
+    """Carry out `run`; `early`: list of signals that have come, as long as nobody else takes them."""
+    from pmpm import requests
     from pmpm.failure import NumericalFailure
     from pmpm.run import OutputFailure, run_scene
     from pmpm.watching import STOP
 
-    deadline = requests.deadline_of(options.walltime, BEGAN)
+    deadline = requests.deadline_of(options.walltime, BEGAN, comm.rank)
     begin = where_to_begin(options, comm)
     if begin.message and comm.rank == 0:
         print(f"pmpm: {begin.message}", file=sys.stderr, flush=True)
@@ -210,8 +218,9 @@ def run(options, comm):
     overwrite = options.overwrite or begin.anew
     try:
         simulation = run_scene(
-            begin.scene, begin.out, comm, options.until, options.steps, overwrite, options.quiet, begin.origin, deadline
-        )
+            begin.scene, begin.out, comm, options.until, options.steps, overwrite, options.quiet, begin.origin, deadline,
+            early,
+        )  # fmt: skip
     except (NumericalFailure, OutputFailure) as failure:
         return complain(f"stopped: {failure}", comm.rank, FAILED)
     stopped = simulation.asked >= STOP and not simulation.finished

@@ -3,6 +3,7 @@
 A rank only notes it; `Simulation.ask` lets all ranks agree, so that all stop, or write, after the same step.
 """
 
+import atexit
 import contextlib
 import os
 import re
@@ -32,18 +33,21 @@ class Requests:
         self.is_timekeeper = comm.rank == 0
         self.deadline, self.interval = deadline, interval
         self.pending = 0
-        self.last_checkpoint = self.last_step = clock.monotonic()
+        self.last_checkpoint = clock.monotonic()
+        self.last_step: float | None = None  # before the first step lie reading and compiling
         self.longest_step = 0.0
         self.longest_checkpoint: float | None = None
 
     @contextlib.contextmanager
-    def listening(self):
-        """Take signals as requests meanwhile; a second SIGINT ends the process at once."""
+    def listening(self, early=()):
+        """Take signals as requests meanwhile, after those that came `early`; a second SIGINT ends the process at once."""
         if threading.current_thread() is not threading.main_thread():
             yield self
             return
         before = {number: signal.signal(number, self.note) for number in (*STOPPING, CHECKPOINTING)}
         try:
+            for number in early:
+                self.note(number, None)
             yield self
         finally:
             for number, handler in before.items():
@@ -63,7 +67,8 @@ class Requests:
 
     def look_at_clock(self, simulation):
         now = clock.monotonic()
-        self.longest_step = max(self.longest_step, now - self.last_step)
+        if self.last_step is not None:
+            self.longest_step = max(self.longest_step, now - self.last_step)
         self.last_step = now
         if self.deadline is not None and clock.time() + self.margin(simulation) >= self.deadline:
             self.pending = max(self.pending, OUT_OF_TIME)
@@ -84,16 +89,47 @@ class Requests:
         self.last_checkpoint = self.last_step = clock.monotonic()
 
 
+@contextlib.contextmanager
+def keeping_signals():
+    """Keep what comes while a run is not listening yet: yields the list of the signals, for `listening`."""
+    early: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield early
+        return
+
+    def keep(number, frame):
+        if number == signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+        early.append(number)
+
+    before = {number: signal.signal(number, keep) for number in (*STOPPING, CHECKPOINTING)}
+    atexit.register(stop_listening)
+    try:
+        yield early
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def stop_listening():
+    """Let no signal change the exit status of a run that is over: it takes MPI a while to say good-bye."""
+    for number in (*STOPPING, CHECKPOINTING):
+        signal.signal(number, signal.SIG_IGN)
+
+
 def reason(asked):
     """What made a run stop, as a person says it."""
     return signal.Signals(asked - SIGNALLED).name if asked >= SIGNALLED else "out of wall time"
 
 
-def deadline_of(walltime, began):
-    """When a run must be over, on time.time()'s clock, or None: of --walltime, which counts from `began`, else of Slurm."""
+def deadline_of(walltime, began, rank=0):
+    """When a run must be over, on time.time()'s clock, or None: of --walltime, which counts from `began`, else of Slurm.
+
+    Slurm is asked by rank 0 alone, the timekeeper: it does not bear the questions of a thousand ranks at once.
+    """
     if walltime is not None:
         return None if walltime == "none" else began + seconds_of(walltime)
-    return slurm_end()
+    return slurm_end() if rank == 0 else None
 
 
 def seconds_of(text):
@@ -116,6 +152,8 @@ def slurm_end():
     given = os.environ.get("SLURM_JOB_END_TIME", "")
     if given.isdigit():
         return float(given)
+    if "SLURM_ARRAY_TASK_ID" in os.environ:  # one task of an array has the number of the whole array for its own
+        job = f"{os.environ.get('SLURM_ARRAY_JOB_ID', job)}_{os.environ['SLURM_ARRAY_TASK_ID']}"
     try:
         asked = subprocess.run(
             ["squeue", "-h", "-j", job, "-o", "%L"], capture_output=True, text=True, timeout=20, check=True

@@ -28,17 +28,19 @@ class OutputFailure(Exception):  # noqa: N818
     """A run that had begun has stopped because something could not be written; the text is for the user."""
 
 
-def run_scene(scene, out, comm, until=None, steps=None, overwrite=False, quiet=False, origin=None, deadline=None):
+def run_scene(
+    scene, out, comm, until=None, steps=None, overwrite=False, quiet=False, origin=None, deadline=None, early=()
+):
     """Run a scene into the folder `out` and return the Simulation. Collective.
 
-    `origin`: a restart.Origin to go on from; `deadline`: when to stop by time.time(). The run stops early on SIGTERM, SIGINT
-    and SIGUSR1 too, with a checkpoint. Raises SceneError or OutputError before anything is written, NumericalFailure and
-    OutputFailure after the folder has been closed.
+    `origin`: a restart.Origin to go on from; `deadline`: when to stop by time.time(); `early`: signals that have come
+    before. The run stops early on SIGTERM, SIGINT and SIGUSR1 too, with a checkpoint. Raises SceneError or OutputError before
+    anything is written, NumericalFailure and OutputFailure after the folder has been closed.
     """
     folder = on_rank_zero(comm, lambda: restart.check_folder(out, overwrite, origin))
     progress = Progress(scene.time.end, comm, quiet=quiet)
     requests = Requests(comm, deadline, scene.output.checkpoint_wall_interval)
-    with requests.listening():
+    with requests.listening(early):
         if origin is None:
             simulation = Simulation(scene, comm, tell=progress.stage)
         else:

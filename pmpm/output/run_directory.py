@@ -317,7 +317,8 @@ def check_unlocked(place):
 
 def take_lock(place):
     """Create the lock file of `place` for this process; returns its text. OutputError if another process holds it."""
-    text = json.dumps({"host": socket.gethostname(), "pid": os.getpid(), "began": process_start(os.getpid())})
+    writer = {"host": socket.gethostname(), "pid": os.getpid(), "began": process_start(os.getpid())}
+    text = json.dumps(writer | ({"slurm_job": slurm_start()} if slurm_start() else {}))
     move_stale_lock(place)
     try:
         descriptor = os.open(place / LOCK, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
@@ -382,7 +383,7 @@ def read_text(path):
 
 def is_live(lock):
     """Whether the process that wrote a lock may still run; one on another host is taken to."""
-    if lock is None:
+    if lock is None or is_of_earlier_start(lock.get("slurm_job")):
         return False
     pid = lock.get("pid")
     if lock.get("host") != socket.gethostname() or not isinstance(pid, int) or pid <= 0:
@@ -395,6 +396,19 @@ def is_live(lock):
         pass
     # Process numbers come round again, in containers soon: a later process under the same number is not the writer.
     return None in (lock.get("began"), process_start(pid)) or lock["began"] == process_start(pid)
+
+
+def slurm_start():
+    """[number, how often it was restarted] of the Slurm job around this process; None without one."""
+    job, restarts = os.environ.get("SLURM_JOB_ID", ""), os.environ.get("SLURM_RESTART_COUNT") or "0"
+    return [int(job), int(restarts)] if job.isdigit() and restarts.isdigit() else None
+
+
+def is_of_earlier_start(job):
+    """Whether a lock was taken by an earlier start of this very job: Slurm has ended that, on whatever host it was."""
+    here = slurm_start()
+    known = isinstance(job, list) and len(job) == 2 and all(isinstance(number, int) for number in job)
+    return known and here is not None and job[0] == here[0] and job[1] < here[1]
 
 
 def process_start(pid):

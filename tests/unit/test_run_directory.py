@@ -1,5 +1,6 @@
 """A run directory belongs to one run: nothing of anybody else's is lost, and no two runs write to one."""
 
+import contextlib
 import json
 import os
 import socket
@@ -171,6 +172,27 @@ def test_a_lock_of_another_host_is_taken_for_live(tmp_path):
     leave_lock(tmp_path, dead_process(), host="elsewhere")
     with pytest.raises(OutputError, match="on elsewhere.*delete"):
         create(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("left_by", "respected"), [([17, 0], False), ([17, 1], True), ([17, 2], True), ([16, 0], True), (None, True)]
+)
+def test_a_lock_on_another_host_is_ignored_if_an_earlier_start_of_this_slurm_job_left_it(
+    left_by, respected, tmp_path, monkeypatch
+):
+    """Slurm starts a job again, on other nodes, when its earlier start is over; of other jobs nobody here can know."""
+    monkeypatch.setenv("SLURM_JOB_ID", "17")
+    monkeypatch.setenv("SLURM_RESTART_COUNT", "1")
+    (tmp_path / "run.lock").write_text(json.dumps({"host": "elsewhere", "pid": 1, "slurm_job": left_by}))
+    with pytest.raises(OutputError, match="on elsewhere") if respected else contextlib.nullcontext():
+        create(tmp_path)
+
+
+def test_a_lock_names_the_slurm_job_and_its_start(tmp_path, monkeypatch):
+    monkeypatch.setenv("SLURM_JOB_ID", "17")
+    monkeypatch.delenv("SLURM_RESTART_COUNT", raising=False)
+    create(tmp_path)
+    assert json.loads((tmp_path / "run.lock").read_text())["slurm_job"] == [17, 0]
 
 
 def test_a_lock_of_a_dead_process_is_ignored(tmp_path):
