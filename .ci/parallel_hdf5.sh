@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# CI mode B: the snapshot tests with a real MPI-built h5py, so that driver="mpio" is run and not only written.
+# CI mode B: snapshots, restarts and faults with a real MPI-built h5py, so that driver="mpio" is run and not only written.
 #
 #   .ci/parallel_hdf5.sh VENV        VENV: a folder for the virtual environment (made anew if it is not there)
 #
@@ -52,7 +52,12 @@ if MPI.COMM_WORLD.rank == 0:
 for ranks in 2 3; do
     "${mpirun[@]}" -n "$ranks" bash -c '
         [ "$OMPI_COMM_WORLD_RANK" = 0 ] || exec >/dev/null
-        exec "$0" -m pytest --with-mpi -q -rs --color=no --timeout=120 --timeout-method=thread tests/mpi/test_snapshots_mpi.py' \
+        exec "$0" -m pytest --with-mpi -q -rs --color=no --timeout=120 --timeout-method=thread tests/mpi/test_snapshots_mpi.py \
+            tests/mpi/test_restart_mpi.py' \
         "$venv/bin/python"
 done
+
+# A full disk, a folder that vanishes, a damaged checkpoint and a rank that is killed, with files written by MPI-IO.
+PMPM_TEST_MPIRUN=${mpirun[*]} "$venv/bin/python" -m pytest -q -rs --color=no --timeout=200 --timeout-method=thread \
+    tests/test_faults.py tests/test_kills.py -k '(grow and 2) or full or vanishes or (falls and flipped) or (outside and rank)'
 echo "parallel HDF5: done after $((SECONDS - began)) s"

@@ -31,18 +31,20 @@ class Finished:
 
 
 def mpirun():
-    """The mpirun that stands beside this Python, for it is the one mpi4py was installed with; else the one on PATH."""
+    """The launcher, with its options: PMPM_TEST_MPIRUN, else the mpirun that stands beside this Python, for it is the one that
+    mpi4py was installed with; else the one on PATH."""
+    told = os.environ.get("PMPM_TEST_MPIRUN")
     beside = Path(sys.executable).parent / "mpirun"
-    found = str(beside) if beside.is_file() else shutil.which("mpirun")
+    found = told or (str(beside) if beside.is_file() else shutil.which("mpirun"))
     assert found, "no mpirun beside this Python nor on PATH: pip install 'pmpm[mpi]'"
-    return found
+    return found.split() if told else [found]
 
 
 def python(arguments, ranks=None, limit=120, folder=None, **environment):
     """Run `python *arguments` on `ranks` ranks (None: without mpirun) for at most `limit` seconds."""
     command = [sys.executable, *map(str, arguments)]
     if ranks is not None:
-        command = [mpirun(), "-n", str(ranks), *command]
+        command = [*mpirun(), "-n", str(ranks), *command]
     paths = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     started = time.monotonic()
     process = subprocess.Popen(

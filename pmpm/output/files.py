@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+MOST_TEXT = 300  # letters of another program's complaint that are passed on
+
 
 class OutputError(Exception):
     """What a run should leave behind cannot be written, or what it left cannot be read; its text is for the user."""
@@ -37,8 +39,13 @@ def explain(error):
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError):
-        return os.strerror(error.errno) if error.errno else str(error)  # HDF5's own text fills a page
-    return f"{type(error).__name__}: {error}"
+        return os.strerror(error.errno) if error.errno else one_line(error)  # HDF5's own text fills a page
+    return f"{type(error).__name__}: {one_line(error)}"
+
+
+def one_line(error):
+    text = " ".join(str(error).split())
+    return text if len(text) <= MOST_TEXT else f"{text[: MOST_TEXT - 4]} ..."
 
 
 def raise_together(comm, error):

@@ -39,6 +39,7 @@ OWN_FILES = (SCENE, LOG, INDEX, DIAGNOSTICS, FAILED)
 OWN_FOLDERS = (SNAPSHOTS, CHECKPOINTS)
 NUMBERED = re.compile(r"\d{6,}\.hdf")
 OWN_NAMES = re.compile(r"\d{6,}\.(hdf|json)|\.\d{6,}\.(hdf|json)\.unfinished")
+ENDED = ("Z", "X")  # states of processes that only stand in the table
 VERSIONS_OF = ("pmpm", "numpy", "numba", "h5py", "mpi4py", "numba-cuda")
 
 
@@ -394,6 +395,8 @@ def is_live(lock):
         return False
     except PermissionError:
         pass
+    if process_state(pid) in ENDED:  # nobody has asked for its exit status: in containers that may last
+        return False
     # Process numbers come round again, in containers soon: a later process under the same number is not the writer.
     return None in (lock.get("began"), process_start(pid)) or lock["began"] == process_start(pid)
 
@@ -413,9 +416,19 @@ def is_of_earlier_start(job):
 
 def process_start(pid):
     """When a process on this host began, in clock ticks since the machine's start; None where /proc does not say."""
+    fields = process_fields(pid)
+    return int(fields[19]) if fields else None
+
+
+def process_state(pid):
+    """The letter for what a process on this host is doing, such as R or S; None where /proc does not say."""
+    fields = process_fields(pid)
+    return fields[0] if fields else None
+
+
+def process_fields(pid):
+    """Fields of /proc/PID/stat from the third on: the second is the program's name in brackets and may hold spaces."""
     try:
-        text = Path(f"/proc/{pid}/stat").read_text()
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
-        return None
-    # The second field is the program's name in brackets and may hold spaces; the start is field 22.
-    return int(text.rpartition(")")[2].split()[19])
+        return []

@@ -8,6 +8,7 @@ tells how many ranks wrote it.
 
 import os
 import socket
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from xxhash import xxh3_64
 
 from pmpm.output.files import (
     OutputError,
+    explain,
     failure_of,
     on_rank_zero,
     raise_together,
@@ -32,6 +34,7 @@ from pmpm.physics.materials import LAWS
 
 FORMAT_VERSION = 1
 VTK_VERTEX = 1
+ABORTED = 1  # exit status when ranks must be ended in the middle of a write
 COMMON_FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "density", "speed", "material")
 UNITS = {
     "Points": "m",
@@ -302,35 +305,47 @@ def write_bytes(descriptor, rows, place):
 
 
 def write_mpio(comm, path, pieces, shapes, starts, attributes, sums):
-    """All ranks write through HDF5 and MPI-IO, collectively: needs an h5py built with MPI."""
+    """All ranks write through HDF5 and MPI-IO, collectively: needs an h5py built with MPI.
+
+    A rank that fails in the middle ends all ranks: they no longer agree on what HDF5 does next, and would wait for each other.
+    """
     import h5py
 
-    failure = None
+    opened: list = []
+    raise_together(comm, failure_of(lambda: opened.append(h5py.File(path, "w", driver="mpio", comm=comm.communicator))))
     try:
-        transfer = h5py.h5p.create(h5py.h5p.DATASET_XFER)
-        transfer.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
-        with h5py.File(path, "w", driver="mpio", comm=comm.communicator) as file:
-            datasets = {name: create_dataset(file, name, *shapes[name]) for name in shapes}
-            write_attributes(file, attributes)
-            for name, dataset in datasets.items():
-                shape, dtype = shapes[name]
-                if not np.prod(shape, dtype=np.int64):
-                    continue
-                rows = made(pieces.get(name, np.empty((0, *shape[1:]), dtype)))
-                note_checksum(sums, name, rows)
-                here, there = h5py.h5s.create_simple((max(len(rows), 1), *shape[1:])), dataset.id.get_space()
-                # A rank without rows must still take part, with nothing selected.
-                if len(rows):
-                    there.select_hyperslab((starts[name], *[0] * (rows.ndim - 1)), rows.shape)
-                else:
-                    here.select_none()
-                    there.select_none()
-                dataset.id.write(here, there, rows, dxpl=transfer)
+        write_collectively(opened[0], pieces, shapes, starts, attributes, sums)
+        opened[0].close()  # not where writing has failed: closing waits for all ranks
         if sums is not None:
             sync_file(path)
     except Exception as error:
-        failure = error
-    raise_together(comm, failure)
+        print(f"pmpm: stopped: {path} cannot be written: {explain(error)}", file=sys.stderr, flush=True)
+        remove_quietly(path)
+        comm.abort(ABORTED)
+        raise
+
+
+def write_collectively(file, pieces, shapes, starts, attributes, sums):
+    """Write all datasets of an open file; a rank without rows takes part with nothing selected."""
+    import h5py
+
+    transfer = h5py.h5p.create(h5py.h5p.DATASET_XFER)
+    transfer.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
+    datasets = {name: create_dataset(file, name, *shapes[name]) for name in shapes}
+    write_attributes(file, attributes)
+    for name, dataset in datasets.items():
+        shape, dtype = shapes[name]
+        if not np.prod(shape, dtype=np.int64):
+            continue
+        rows = made(pieces.get(name, np.empty((0, *shape[1:]), dtype)))
+        note_checksum(sums, name, rows)
+        here, there = h5py.h5s.create_simple((max(len(rows), 1), *shape[1:])), dataset.id.get_space()
+        if len(rows):
+            there.select_hyperslab((starts[name], *[0] * (rows.ndim - 1)), rows.shape)
+        else:
+            here.select_none()
+            there.select_none()
+        dataset.id.write(here, there, rows, dxpl=transfer)
 
 
 def create_dataset(file, name, shape, dtype):

@@ -24,7 +24,7 @@ def write_script(path, text):
 
 def environment(*folders):
     """What the scripts need around them, with the commands in `folders` before all others."""
-    beside = [Path(launch.mpirun()).parent, Path(sys.executable).parent]
+    beside = [Path(launch.mpirun()[0]).parent, Path(sys.executable).parent]
     path = os.pathsep.join(map(str, [*folders, *beside, os.environ.get("PATH", "")]))
     paths = os.pathsep.join(filter(None, [str(launch.ROOT), os.environ.get("PYTHONPATH")]))
     return launch.LAUNCHER | {"PATH": path, "PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}

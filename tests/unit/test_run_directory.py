@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -264,3 +265,14 @@ def test_every_line_of_diagnostics_is_on_disk_at_once(tmp_path):
     for lines in (2, 3, 4):
         diagnostics(FakeSimulation(fake_scene()))
         assert (tmp_path / "diagnostics.csv").read_text().count("\n") == lines
+
+
+def test_a_process_that_only_waits_for_its_parent_to_ask_for_its_status_is_not_live():
+    """A zombie: where nobody asks, as in many containers, it stays for ever."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    began = run_directory.process_start(process.pid)
+    while run_directory.process_state(process.pid) != "Z":
+        time.sleep(0.01)
+    lock = {"host": socket.gethostname(), "pid": process.pid, "began": began}
+    assert not run_directory.is_live(lock)
+    process.wait()
