@@ -82,11 +82,18 @@ def bytes_per_particle(needs):
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes over all ranks: of the particles while they move, the same while they are being made, of the grid."""
+    """Bytes over all ranks: of the particles while they move, the same while they are being made, of the grid, and of the copy
+    that is kept for the case that the run goes wrong."""
 
     particles: float
     filling: float
     grid: float
+    copy: float
+
+    @property
+    def most(self):
+        """What there is at once: at the start, or later."""
+        return max(self.filling, self.particles + self.copy) + self.grid
 
 
 def memory(scene, needs, geometry, counts):
@@ -97,7 +104,8 @@ def memory(scene, needs, geometry, counts):
     materials = [scene.materials[body.material] for body in scene.bodies]
     of_body = np.array([sizes[needs.laws.index(law_needs(m.model, m.parameters))] for m in materials], float)
     filling = FILLING_COPIES * of_body + FILLING_BYTES * scene.dim
-    return Memory(float(counts @ of_body), float(counts @ filling), grid_bytes(needs, geometry))
+    held = float(counts @ of_body)
+    return Memory(held, float(counts @ filling), grid_bytes(needs, geometry), held if scene.guard.keep_copy else 0.0)
 
 
 def grid_bytes(needs, geometry):
@@ -149,7 +157,7 @@ def refuse_memory(scene, needs, geometry, comm):
     """Raise SceneError, on all ranks, where a run would not fit into the machines that it is on. Collective."""
     counts = particles(scene)
     taken = memory(scene, needs, geometry, counts)
-    per_rank = (taken.filling + taken.grid) / comm.size
+    per_rank = taken.most / comm.size
     told = comm.gather((socket.gethostname(), memory_here()))
     for _, available in told:
         if isinstance(available, str):

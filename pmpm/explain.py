@@ -60,11 +60,12 @@ def memory_lines(taken, ranks):
     """What a rank takes, and whether this machine has it for all of them."""
     available = estimate.available_memory()
     text = f"about {taken.particles / ranks / 1e6:.1f} MB of particles and {taken.grid / ranks / 1e6:.1f} MB of grid per rank"
-    start = taken.filling + taken.grid
     lines = [f"memory        {text}"]
-    if start > available:
+    if taken.copy:
+        lines.append(f"              and {taken.copy / ranks / 1e6:.1f} MB of the copy that guard.keep_copy keeps")
+    if taken.most > available:
         lines.append(
-            f"              more than this machine has: {estimate.amount(start)} on all ranks at the start, "
+            f"              more than this machine has: {estimate.amount(taken.most)} on all ranks at the start, "
             f"{estimate.amount(available)} available"
         )
     return lines

@@ -2,7 +2,6 @@
 
 import os
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from pmpm.output.checkpoints import CheckpointFile
 from pmpm.output.files import OutputError, on_rank_zero
 from pmpm.output.run_directory import CHECKPOINTS, read_record, read_status
 from pmpm.restore import SCENE, Continuation
+from pmpm.scene import files
 from pmpm.scene.errors import SceneError
 from pmpm.scene.messages import path_text, value_text
 from pmpm.scene.schema import Scene
@@ -175,7 +175,7 @@ def scene_text(path):
 
 def scene_of(origin, overrides):
     """The scene of a checkpoint with overrides {dotted key: value} on top. Raises SceneError."""
-    table = tomllib.loads(origin.text)
+    table = files.parse_toml(origin.text, str(origin.path))
     for key, other in EITHER_OR.items():
         if key in overrides:
             table.get("time", {}).pop(other, None)
@@ -184,7 +184,7 @@ def scene_of(origin, overrides):
 
 def changes(origin, scene):
     """Dotted keys of what differs between a scene and the one of the checkpoint. Raises SceneError if a run cannot take it."""
-    before, after = leaves(tomllib.loads(origin.text)), leaves(tomllib.loads(scene.to_toml()))
+    before, after = (leaves(files.parse_toml(text, str(origin.path))) for text in (origin.text, scene.to_toml()))
     differing = [key for key in dict.fromkeys((*before, *after)) if before.get(key) != after.get(key)]
     wrong = [key for key in differing if not re.fullmatch(f"{WATCHING}|{DRIVING}", key)]
     if wrong:

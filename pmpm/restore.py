@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from pmpm import readout
+from pmpm import estimate, readout
 from pmpm.kernels.loops import FARTHEST, OVERFLOW
 from pmpm.kernels.needs import labels
 from pmpm.kernels.places import FORMATS
@@ -180,7 +180,8 @@ class Continuation:
             raise OutputError(f"{file.path} is damaged: {RECORD}: {error.errors()[0]['msg']}") from error
 
     def count_per_layer(self, simulation):
-        """(layers,) particles per layer over all ranks; reads where the particles of each law lie."""
+        """(layers,) particles per layer over all ranks; reads where the particles of each law lie. SceneError for too many."""
+        estimate.refuse_memory(simulation.scene, simulation.needs, simulation.geometry, simulation.comm)
         self.tables = [self.segments(simulation, number) for number in range(len(simulation.needs.laws))]
         counts = np.zeros(simulation.geometry.layers, np.int64)
         for table in self.tables:

@@ -68,6 +68,7 @@ class Simulation:
         self.failure: dict | None = None
         self.regroups, self.sent = 0, np.zeros(self.comm.size, np.int64)
         self.timers = Timers()
+        self.stretch = [0, 0.0]  # steps since this process began, and seconds spent on them without those who watch
         loops = build.chosen_loops()
         if loops not in build.LOOPS:
             raise SceneError(
@@ -194,6 +195,15 @@ class Simulation:
         """All that it takes to go on from here, for a checkpoint. Collective. NumericalFailure as `check`."""
         return restore.state(self, outputs)
 
+    def save(self, path):
+        """Write a checkpoint file, and its manifest beside it, from which `restart` goes on. Collective.
+
+        Raises OutputError where it cannot be written, NumericalFailure as `check`.
+        """
+        from pmpm.output import checkpoints
+
+        checkpoints.save(self, path)
+
     def datasets(self, state):
         """({dataset: this rank's rows}, {group: attributes}) of a checkpoint that holds a state of this simulation."""
         return restore.datasets(self, state)
@@ -222,6 +232,7 @@ class Simulation:
 
     def step(self):
         """Advance by one time step. Raises NumericalFailure, on all ranks, if a particle has failed."""
+        began = clock.perf_counter()
         failed = self.control.collect()
         if failed is not None:
             self.stop(failed)
@@ -233,6 +244,8 @@ class Simulation:
         self.step_count += 1
         end = self.scene.time.end
         self.dt, self.time = dt, end if dt == end - self.time else self.time + dt
+        self.stretch[0] += 1
+        self.stretch[1] += clock.perf_counter() - began
         self.call_observers()
 
     def advance(self, dt):
@@ -540,6 +553,7 @@ class Simulation:
         return {
             "steps": self.step_count,
             "time": self.time,
+            "stretch": {"steps": self.stretch[0], "seconds": float(self.comm.max(np.array([self.stretch[1]]))[0])},
             "particles": int(self.comm.sum(np.array([self.rows()]))[0]),
             "ranks": self.comm.size,
             "edges": list(self.slabs.edges),

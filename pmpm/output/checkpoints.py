@@ -7,6 +7,7 @@ The manifest is renamed into place when all else is on the disk: without it ther
 again, so that no checkpoint is written over another one.
 """
 
+import contextlib
 import json
 import os
 import re
@@ -16,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from xxhash import xxh3_64
 
-from pmpm.output.files import OutputError, on_rank_zero, raise_together, sync_folder, unfinished_name
+from pmpm.output.files import OutputError, explain, on_rank_zero, raise_together, sync_folder, unfinished_name
 from pmpm.output.run_directory import CHECKPOINTS, now
 from pmpm.output.snapshots import FORMAT_VERSION as SNAPSHOT_VERSION
 from pmpm.output.snapshots import default_parallel, write_datasets
@@ -25,7 +26,7 @@ FORMAT, FORMAT_VERSION = "pmpm checkpoint", 1
 MANIFEST = re.compile(r"(\d{6,})\.json")
 NUMBERED = re.compile(r"\.?(\d{6,})\.(hdf|json)(\.unfinished)?")
 PIECE = 1 << 24  # bytes that are looked at in one go
-MOST_MANIFEST = 1 << 28  # bytes
+MOST_MANIFEST, MOST_TEXT = 1 << 28, 1 << 26  # bytes
 
 
 class CheckpointWriter:
@@ -62,6 +63,16 @@ class CheckpointWriter:
         self.folder.mkdir(exist_ok=True)
         found = [NUMBERED.fullmatch(entry.name) for entry in self.folder.iterdir()]
         return max((int(match[1]) + 1 for match in found if match), default=0)
+
+
+def save(simulation, path):
+    """Write a checkpoint of a simulation to `path`, whatever was there. Collective; OutputError on all ranks if any fails."""
+    path, comm = Path(path), simulation.comm
+    if path.suffix != ".hdf":
+        raise OutputError(f"{path}: the name of a checkpoint must end in .hdf")
+    on_rank_zero(comm, lambda: manifest_of(path).unlink(missing_ok=True))
+    pieces, attributes = simulation.datasets(simulation.state())
+    write_checkpoint(comm, path, pieces, attributes, default_parallel(comm))
 
 
 def write_checkpoint(comm, path, pieces, attributes, parallel):
@@ -254,6 +265,15 @@ def check_share(path, held, rank, size):
         raise OutputError(f"{path} is damaged: what lies between its datasets has another checksum")
 
 
+@contextlib.contextmanager
+def taken_for_damage(path):
+    """Turn whatever HDF5 says of a file into one complaint about it."""
+    try:
+        yield
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
+        raise OutputError(f"{path} is damaged: {explain(error)}") from error
+
+
 class CheckpointFile:
     """A good checkpoint, open for reading on this rank. Whatever does not fit raises OutputError."""
 
@@ -261,24 +281,25 @@ class CheckpointFile:
         from pmpm.output.reader import open_snapshot, plain_attribute
 
         self.path = Path(path)
-        self.file = open_snapshot(self.path)
-        attributes = self.file["pmpm"].attrs
-        self.precision = plain_attribute(attributes["precision"]) if "precision" in attributes else None
+        with taken_for_damage(path):
+            self.file = open_snapshot(self.path)
+            self.precision = plain_attribute(self.file["pmpm"].attrs.get("precision"))
         if self.precision not in ("float32", "float64"):
             raise OutputError(f"{self.path} is damaged: precision {self.precision!r}")
 
     def dataset(self, name):
         import h5py
 
-        item = self.file.get(name)
-        if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual:
-            raise OutputError(f"{self.path} is damaged: it holds no dataset {name}")
-        return item
+        with taken_for_damage(self.path):
+            item = self.file.get(name)
+            if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual:
+                return item
+        raise OutputError(f"{self.path} is damaged: it holds no dataset {name}")
 
     def names(self, group):
         """Names of the datasets in a group."""
-        held = self.file.get(group)
-        return [] if held is None else list(held)
+        with taken_for_damage(self.path):
+            return list(self.file.get(group) or ())
 
     def shape(self, name):
         shape = self.dataset(name).shape
@@ -295,10 +316,13 @@ class CheckpointFile:
             raise OutputError(
                 f"{self.path} is damaged: {name} is {item.dtype} {item.shape}, not {columns} per particle"
             )
-        return item[first:last]
+        with taken_for_damage(self.path):
+            return item[first:last]
 
     def bytes_of(self, name):
-        """Contents of a dataset of bytes."""
+        """Contents of a dataset of bytes, no more than a text may have."""
+        if self.shape(name)[0] > MOST_TEXT:
+            raise OutputError(f"{self.path} is damaged: {name} has {self.shape(name)[0]} bytes")
         return self.rows(name, columns=(), kind=np.uint8).tobytes()
 
     def close(self):

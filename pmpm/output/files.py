@@ -37,7 +37,7 @@ def explain(error):
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError):
-        return error.strerror or str(error)
+        return os.strerror(error.errno) if error.errno else str(error)  # HDF5's own text fills a page
     return f"{type(error).__name__}: {error}"
 
 
