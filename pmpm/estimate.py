@@ -12,7 +12,7 @@ import numpy as np
 from pmpm.physics import stability
 from pmpm.scene import start
 from pmpm.scene.errors import SceneError
-from pmpm.scene.seeding import meeting_later_bodies, surrounding_cells
+from pmpm.scene.seeding import meeting_later_bodies, surroundings
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
 from pmpm.timestep import MOVE
@@ -37,20 +37,20 @@ CGROUPS = (  # limit and use of the memory of a container or a batch job
 
 def places_to_try(scene):
     """How many places are gone through one by one to count the particles of a scene: a float, for it may be astronomical."""
-    cells = [
-        np.prod(np.maximum(np.subtract(*reversed(surrounding_cells(scene, b))), 0), dtype=float) for b in scene.bodies
-    ]
+    around = surroundings(scene)
+    cells = np.prod(np.maximum(around.last - around.first, 0), axis=1, dtype=float)
     layers = len(scene.bodies) * float(max(scene.cells))
-    return layers + math.fsum(n * body.particles_per_cell for n, body in zip(cells, scene.bodies, strict=True))
+    return layers + float(cells @ [float(body.particles_per_cell) for body in scene.bodies])
 
 
 def particles(scene):
     """(bodies,) about how many particles each body gets: from the share of a few places in its bounds that lie in it."""
     count = max(FEWEST_SAMPLES, min(SAMPLES, ALL_SAMPLES // len(scene.bodies)))
-    return np.array([particles_of(scene, number, count) for number in range(len(scene.bodies))])
+    around = surroundings(scene)
+    return np.array([particles_of(scene, number, count, around) for number in range(len(scene.bodies))])
 
 
-def particles_of(scene, number, samples):
+def particles_of(scene, number, samples, around):
     body, dx = scene.bodies[number], scene.domain.cell_size
     low, high = body.shape.bounds()
     low, high = np.maximum(low, 0.0), np.minimum(high, scene.domain.size)
@@ -58,7 +58,7 @@ def particles_of(scene, number, samples):
         return 0.0
     places = low + (high - low) * spread_places(samples, scene.dim)
     inside = body.shape.contains(places)
-    for later in meeting_later_bodies(scene, number):
+    for later in meeting_later_bodies(scene, number, around):
         inside &= ~later.shape.contains(places)
     return float(np.prod((high - low) / dx)) * body.particles_per_cell * np.count_nonzero(inside) / samples
 

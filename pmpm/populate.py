@@ -66,8 +66,9 @@ def rehearse(scene, geometry):
     Raises SceneError for what the start of a run would refuse of bodies, displacements and loads.
     """
     counts, loaded = np.zeros(len(scene.bodies), np.int64), np.zeros(len(scene.loads), bool)
+    around = seeding.surroundings(scene)
     for number, body in enumerate(scene.bodies):
-        for seeds in seeding.seed_planes(scene, geometry, number, 0, geometry.layers):
+        for seeds in seeding.seed_planes(scene, geometry, number, 0, geometry.layers, around):
             if not len(seeds.id):
                 continue
             counts[number] += len(seeds.id)

@@ -20,6 +20,15 @@ class Seeds:
         return Seeds(self.node[index], self.offset[index], self.id[index])
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """Boxes of cells around all bodies, (bodies, dim) their first cells and last ones + 1, and the first id of each body."""
+
+    first: np.ndarray
+    last: np.ndarray
+    first_id: np.ndarray
+
+
 def lattice(particles_per_cell, dim):
     """(particles_per_cell, dim) places within a cell, in cells; None if the number is no perfect square or cube."""
     per_axis = round(particles_per_cell ** (1 / dim))
@@ -57,17 +66,18 @@ def id_offsets(scene):
 
 def seed(scene, geometry, first_layer, last_layer):
     """Seeds of each body in layers first_layer .. last_layer - 1. Where bodies overlap the later one wins."""
+    around = surroundings(scene)
     return [
-        joined(list(seed_planes(scene, geometry, number, first_layer, last_layer)), geometry.dim)
+        joined(list(seed_planes(scene, geometry, number, first_layer, last_layer, around)), geometry.dim)
         for number in range(len(scene.bodies))
     ]
 
 
 def count_per_layer(scene, geometry, first_layer, last_layer):
     """(bodies, layers of the domain) how many particles will be seeded in each of these layers; zero elsewhere."""
-    counts = np.zeros((len(scene.bodies), geometry.layers), np.int64)
+    counts, around = np.zeros((len(scene.bodies), geometry.layers), np.int64), surroundings(scene)
     for number in range(len(scene.bodies)):
-        for seeds in seed_planes(scene, geometry, number, first_layer, last_layer):
+        for seeds in seed_planes(scene, geometry, number, first_layer, last_layer, around):
             add_counts(counts[number], seeds.node[:, geometry.axes[0]])
     return counts
 
@@ -80,11 +90,14 @@ def add_counts(counts, layer):
         counts[first : first + len(found)] += found
 
 
-def seed_planes(scene, geometry, number, first_layer, last_layer):
-    """Seeds of body `number` in these layers: one plane of cells after another, in pieces that fit into a core's cache."""
+def seed_planes(scene, geometry, number, first_layer, last_layer, around):
+    """Seeds of body `number` in these layers: one plane of cells after another, in pieces that fit into a core's cache.
+
+    `around`: the Surroundings of all bodies.
+    """
     slab, body = geometry.axes[0], scene.bodies[number]
-    first_id, later = id_offsets(scene)[number], meeting_later_bodies(scene, number)
-    first_cell, last_cell = surrounding_cells(scene, body)
+    first_id, later = around.first_id[number], meeting_later_bodies(scene, number, around)
+    first_cell, last_cell = around.first[number], around.last[number]
     widths = np.maximum(last_cell - first_cell, 0)
     widths[slab] = 1
     in_plane, piece = int(np.prod(widths)), max(1, PLACES // body.particles_per_cell)
@@ -111,17 +124,17 @@ def surrounding_cells(scene, body):
     return first, np.clip(np.ceil(high) + 1.0, 0.0, cells).astype(np.int64)
 
 
-def meeting_later_bodies(scene, number):
+def surroundings(scene):
+    """The Surroundings of all bodies: found once, for there may be thousands of them."""
+    first, last = zip(*(surrounding_cells(scene, body) for body in scene.bodies), strict=True)
+    return Surroundings(np.array(first), np.array(last), id_offsets(scene))
+
+
+def meeting_later_bodies(scene, number, around):
     """The bodies after body `number` whose surroundings meet its own: where they lie it has no particles."""
-    later = scene.bodies[number + 1 :]
-    if not later:
-        return []
-    first, last = surrounding_cells(scene, scene.bodies[number])
-    return [body for body in later if all_meet(first, last, *surrounding_cells(scene, body))]
-
-
-def all_meet(first, last, other_first, other_last):
-    return bool(np.all((first < other_last) & (other_first < last)))
+    later = slice(number + 1, None)
+    meet = ((around.first[number] < around.last[later]) & (around.first[later] < around.last[number])).all(axis=1)
+    return [scene.bodies[number + 1 + place] for place in np.flatnonzero(meet)]
 
 
 def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer, later_bodies):

@@ -193,6 +193,17 @@ LAWS = [
 BROKEN = [
     *LAWS,
     ("no TOML at all", "time = = 3", ["not valid TOML", "line 1"]),
+    ("number without end", change(END, "end = " + "9" * 5000), ["holds a number that cannot be read"]),
+    (
+        "title that clears the screen",
+        'title = "\\u001b[2J"\n' + change('title = "good"\n', ""),
+        ["title", "no control characters"],
+    ),
+    (
+        "material with a bell",
+        change("[materials.water]", '[materials."a\\u0007"]'),
+        ["materials", "no control characters"],
+    ),
     ("unclosed list", change(SIZE, "size = [0.6, 0.2"), ["not valid TOML", "line 5"]),
     ("key given twice", change(END, "end = 1.0\nend = 2.0"), ["not valid TOML", "line 12"]),
     ("empty file", "", ["domain is missing", "time is missing", "materials is missing", "bodies is missing"]),

@@ -3,6 +3,8 @@
 import json
 import os
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -176,3 +178,21 @@ def test_info_describes_a_run(scene_file, capsys):
 def test_info_of_something_else_is_refused(folder, capsys):
     (folder / "notes.txt").write_text("hello", encoding="utf-8")
     assert "notes.txt" in refused(["info", "notes.txt"], capsys)
+
+
+@pytest.mark.parametrize("number", ["-1e-2", "-0.01", "-1E-2"])
+def test_a_negative_number_may_have_an_exponent(number, capsys):
+    """argparse by itself takes -1e-2 for an option."""
+    assert main(["point", "neo_hookean", "--strain", number, "--rows", "2"]) == 0
+    assert "to -0.01 in 200 steps" in capsys.readouterr().out
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(folder):
+    """What `pmpm materials | head -1` does: the pipe is closed before all has been said."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    found = subprocess.run(
+        [sys.executable, "-m", "pmpm", "materials"], stdout=writing, stderr=subprocess.PIPE, text=True
+    )
+    os.close(writing)
+    assert (found.returncode, found.stderr) == (0, "")
