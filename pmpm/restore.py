@@ -128,14 +128,21 @@ def datasets(simulation, held):
 def field_rows(population, kernels, where):
     """Rows of a stored field: numbers of one, vectors of several columns."""
     columns = () if where.stop - where.start == 1 else (where.stop - where.start,)
-    shape = (len(population), *columns)
-    return Later(shape, population.reals.dtype, lambda: population.unpacked(kernels, where).reshape(shape))
+
+    def make():
+        return (rows.reshape(-1, *columns) for rows in population.unpacked(kernels, where))
+
+    return Later((len(population), *columns), population.reals.dtype, make)
 
 
 def place_rows(population, kernels, dim):
     """The integers that positions are, from the base nodes of the segments."""
     integer = population.places.dtype
-    return Later((len(population), dim), integer, lambda: population.unpacked(kernels, slice(0, dim)).view(integer))
+
+    def make():
+        return (rows.view(integer) for rows in population.unpacked(kernels, slice(0, dim)))
+
+    return Later((len(population), dim), integer, make)
 
 
 def common_rows(simulation, held):
@@ -145,20 +152,20 @@ def common_rows(simulation, held):
     populations, rows, velocity = held.populations, simulation.rows(), simulation.layouts[0].where("v")
     order = None if len(populations) == 1 else readout.order_of(populations)
 
-    def joined(shape, dtype, rows_of):
+    def joined(columns, dtype, groups_of):
         def make():
-            parts = list(map(rows_of, populations))
-            return parts[0] if order is None else np.concatenate(parts)[order]
+            if order is None:
+                return groups_of(populations[0])
+            nothing = np.empty((0, *columns), dtype)
+            return [np.concatenate([nothing, *(group for p in populations for group in groups_of(p))])[order]]
 
-        return Later(shape, np.dtype(dtype), make)
+        return Later((rows, *columns), np.dtype(dtype), make)
 
     return {
-        "VTKHDF/Points": joined(
-            (rows, 3), simulation.real, lambda p: p.points(kernels, geometry.axes, geometry.cell_size)
-        ),
-        "VTKHDF/PointData/id": joined((rows,), np.int64, lambda p: p.ids(kernels)),
-        "VTKHDF/PointData/velocity": joined((rows, 3), simulation.real, lambda p: p.unpacked(kernels, velocity, 3)),
-        "VTKHDF/PointData/material": joined((rows,), np.int32, lambda p: materials[p.per_particle(p.block_row)]),
+        "VTKHDF/Points": joined((3,), simulation.real, lambda p: p.points(kernels, geometry.axes, geometry.cell_size)),
+        "VTKHDF/PointData/id": joined((), np.int64, lambda p: p.ids(kernels)),
+        "VTKHDF/PointData/velocity": joined((3,), simulation.real, lambda p: p.unpacked(kernels, velocity, 3)),
+        "VTKHDF/PointData/material": joined((), np.int32, lambda p: p.of_table_rows(materials)),
     }
 
 

@@ -225,17 +225,22 @@ def permute(
 
 def take_rows(blocks, segments, first, fields, rows):
     """Copy fields first .. first + fields - 1 of all particles out of their blocks into the first columns of rows (n, ...)."""
-    n = 0
+    values, out = blocks.reshape(-1), rows.reshape(-1)
+    size, width = np.uint64(16 * blocks.shape[1]), np.uint64(rows.shape[1])
+    begin, step, ahead = np.uint64(16 * first), np.uint64(16), np.uint64(8)
+    o = np.uint64(0)
     for s in range(segments.shape[0]):
-        block, left = segments[s, 0], segments[s, 1]
+        i = np.uint64(segments[s, 0]) * size + begin
+        left = segments[s, 1]
         while left > 0:
-            count = min(left, 16)
-            for lane in range(count):
-                for f in range(fields):
-                    rows[n + lane, f] = blocks[block, first + f, lane]
-            n += count
-            left -= count
-            block += 1
+            for part in range(0, 16 * fields, 64 // values.itemsize):
+                prefetch(values, int(i + ahead * size) + part, False)
+            for lane in range(np.uint64(min(left, 16))):
+                for f in range(np.uint64(fields)):
+                    out[o + f] = values[i + lane + step * f]
+                o += width
+            i += size
+            left -= 16
 
 
 def take_positions(places, segments, layers, axes, fraction, unit, cell_size, x):

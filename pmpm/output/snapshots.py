@@ -9,8 +9,9 @@ tells how many ranks wrote it.
 import os
 import socket
 import sys
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -34,6 +35,7 @@ from pmpm.physics.materials import LAWS
 
 FORMAT_VERSION = 1
 VTK_VERTEX = 1
+AHEAD = 3  # groups of rows that wait to be written while the next is made
 ABORTED = 1  # exit status when ranks must be ended in the middle of a write
 COMMON_FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "density", "speed", "material")
 UNITS = {
@@ -189,17 +191,19 @@ def snapshot_attributes(scene, time, step, dt):
 
 @dataclass(frozen=True)
 class Later:
-    """Rows of a dataset that are made when they are written: what a checkpoint holds would else be there twice at once."""
+    """Rows of a dataset that are made, group by group, when they are written: what a checkpoint holds would else be there twice
+    at once."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
-    make: Callable[[], np.ndarray]
+    make: Callable[[], Iterable[np.ndarray]]
 
 
-def made(rows):
-    """Rows of a dataset as a contiguous array of the byte order of the file."""
-    rows = np.asarray(rows.make() if isinstance(rows, Later) else rows)
-    return np.ascontiguousarray(rows, rows.dtype.newbyteorder("<"))
+def groups_of(rows):
+    """Yield the rows of a dataset as contiguous arrays of the byte order of the file."""
+    for group in rows.make() if isinstance(rows, Later) else (rows,):
+        group = np.asarray(group)
+        yield np.ascontiguousarray(group, group.dtype.newbyteorder("<"))
 
 
 def write_datasets(comm, path, pieces, attributes, parallel, durable=False):
@@ -227,11 +231,6 @@ def write_datasets(comm, path, pieces, attributes, parallel, durable=False):
     return shapes, sums
 
 
-def note_checksum(sums, name, rows):
-    if sums is not None and rows.size:
-        sums[name] = rows.nbytes, xxh3_64(memoryview(rows).cast("B")).intdigest()
-
-
 def join_pieces(comm, pieces):
     """({path: (shape over all ranks, dtype)}, {path: first row of this rank}); OutputError if pieces do not fit."""
     told = comm.gather({name: (rows.shape, rows.dtype.newbyteorder("<").str) for name, rows in pieces.items()})
@@ -250,9 +249,8 @@ def join_pieces(comm, pieces):
 def write_pwrite(comm, path, pieces, shapes, starts, attributes, sums):
     """Rank 0 lays the file out, then every rank writes its bytes to their place: parallel with an h5py without MPI.
 
-    Needs contiguous datasets of a fixed byte order, and rank 0 done with the file before the others open it. What one dataset
-    needs to be made and the writing of the one before it go on at once. `sums`: see `write_datasets`; None for no checksums
-    and no waiting for the disk.
+    Needs contiguous datasets of a fixed byte order, and rank 0 done with the file before the others open it. Rows are made
+    while those before them are written. `sums`: see `write_datasets`; None for no checksums and no waiting for the disk.
     """
 
     def lay_out():
@@ -266,26 +264,26 @@ def write_pwrite(comm, path, pieces, shapes, starts, attributes, sums):
 
     places = on_rank_zero(comm, lay_out)
 
-    def write_one(descriptor, rows, place):
-        write_bytes(descriptor, rows, place)
-        if sums is not None:
-            os.fsync(descriptor)
-
     def write_rows():
         descriptor = os.open(path, os.O_WRONLY)
         try:
-            with ThreadPoolExecutor(max_workers=1) as writer:
-                before = None
+            with ThreadPoolExecutor(max_workers=1) as writer, ThreadPoolExecutor(max_workers=1) as syncing:
+                waiting, synced = deque[Future](), list[Future]()
                 for name, piece in pieces.items():
-                    rows = made(piece)
-                    note_checksum(sums, name, rows)
-                    if before is not None:
-                        before.result()
-                    if rows.size:
-                        place = starts[name] * (rows.nbytes // len(rows)) + places[name]
-                        before = writer.submit(write_one, descriptor, rows, place)
-                if before is not None:
-                    before.result()
+                    row_bytes = piece.dtype.itemsize * int(np.prod(piece.shape[1:], dtype=np.int64))
+                    place, checksum = (places[name] or 0) + starts[name] * row_bytes, xxh3_64()
+                    for group in groups_of(piece):
+                        waiting.append(writer.submit(write_bytes, descriptor, group, place))
+                        place += group.nbytes
+                        if sums is not None:
+                            checksum.update(group.reshape(-1).view(np.uint8).data)
+                        if len(waiting) > AHEAD:
+                            waiting.popleft().result()
+                    if sums is not None and piece.shape[0]:
+                        sums[name] = piece.shape[0] * row_bytes, checksum.intdigest()
+                        synced.append(syncing.submit(os.fsync, descriptor))
+                for task in (*waiting, *synced):
+                    task.result()
             if sums is not None:
                 os.fsync(descriptor)  # of what rank 0 has laid out, too
         finally:
@@ -337,8 +335,10 @@ def write_collectively(file, pieces, shapes, starts, attributes, sums):
         shape, dtype = shapes[name]
         if not np.prod(shape, dtype=np.int64):
             continue
-        rows = made(pieces.get(name, np.empty((0, *shape[1:]), dtype)))
-        note_checksum(sums, name, rows)
+        groups = groups_of(pieces[name]) if name in pieces else ()
+        rows = np.concatenate([np.empty((0, *shape[1:]), dtype), *groups])
+        if sums is not None and rows.size:
+            sums[name] = rows.nbytes, xxh3_64(rows.reshape(-1).view(np.uint8).data).intdigest()
         here, there = h5py.h5s.create_simple((max(len(rows), 1), *shape[1:])), dataset.id.get_space()
         if len(rows):
             there.select_hyperslab((starts[name], *[0] * (rows.ndim - 1)), rows.shape)

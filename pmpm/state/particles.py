@@ -13,6 +13,7 @@ from pmpm.kernels.places import FORMATS
 from pmpm.kernels.sorting import SEGMENT_COLUMNS
 
 LANES = 16
+GROUP_BYTES = 1 << 21  # of rows that are made at a time: about what a core's own cache holds
 
 
 @dataclass
@@ -162,27 +163,46 @@ class Population:
             self.reals.copy(), self.id.copy(), self.segments.copy(), self.layer_start.copy(), self.first_layer
         )
 
+    def groups(self, row_bytes):
+        """(segments, particles) of consecutive groups of segments, slices: a group's rows of so many bytes fit into a cache."""
+        last_row = np.cumsum(self.segments[:, 1])
+        first = first_row = 0
+        while first < len(self.segments):
+            last = max(first + 1, int(np.searchsorted(last_row, first_row + GROUP_BYTES // row_bytes, side="right")))
+            yield slice(first, last), int(last_row[last - 1]) - first_row
+            first, first_row = last, int(last_row[last - 1])
+
     def unpacked(self, kernels, fields, columns=None):
-        """`rows` of some fields (a slice) by a kernel, with zeros beside them up to `columns`."""
+        """Yield `rows` of some fields (a slice), by a kernel and group by group, with zeros beside them up to `columns`."""
         count = fields.stop - fields.start
-        rows = (np.zeros if columns else np.empty)((len(self), columns or count), self.reals.dtype)
-        kernels.take_rows(self.places, self.segments, fields.start, count, rows.view(self.places.dtype))
-        return rows
+        for segments, particles in self.groups((columns or count) * self.reals.itemsize):
+            rows = (np.zeros if columns else np.empty)((particles, columns or count), self.reals.dtype)
+            kernels.take_rows(self.places, self.segments[segments], fields.start, count, rows.view(self.places.dtype))
+            yield rows
 
     def ids(self, kernels):
-        """(n,) ids, in order."""
-        rows = np.empty((len(self), 1), np.int64)
-        kernels.take_rows(self.id.reshape(len(self.id), 1, LANES), self.segments, 0, 1, rows)
-        return rows[:, 0]
+        """Yield ids (n,), in order, group by group."""
+        blocks = self.id.reshape(len(self.id), 1, LANES)
+        for segments, particles in self.groups(8):
+            rows = np.empty((particles, 1), np.int64)
+            kernels.take_rows(blocks, self.segments[segments], 0, 1, rows)
+            yield rows[:, 0]
 
     def points(self, kernels, axes, cell_size):
-        """(n, 3) positions in m, in the precision of the reals."""
-        form = FORMATS[self.reals.dtype]
-        x = np.zeros((len(self), 3), self.reals.dtype)
-        kernels.take_positions(
-            self.places, self.segments, self.segment_layer, np.array(axes), form.fraction, form.unit, cell_size, x
-        )
-        return x
+        """Yield positions (n, 3) in m, in the precision of the reals, group by group."""
+        form, layer = FORMATS[self.reals.dtype], self.segment_layer
+        for segments, particles in self.groups(3 * self.reals.itemsize):
+            x = np.zeros((particles, 3), self.reals.dtype)
+            kernels.take_positions(
+                self.places, self.segments[segments], layer[segments], np.array(axes), form.fraction, form.unit,
+                cell_size, x,
+            )  # fmt: skip
+            yield x
+
+    def of_table_rows(self, values):
+        """Yield what an array over table rows holds for each particle (n,), group by group."""
+        for segments, _ in self.groups(values.itemsize):
+            yield np.repeat(values[self.segments[segments, 2]], self.segments[segments, 1])
 
     def segment_table(self):
         """(segments, 5) as `Ordered` has them."""
