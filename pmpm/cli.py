@@ -1,6 +1,7 @@
 """The command line. Heavy things are imported by the command that needs them, so that `pmpm --help` answers at once."""
 
 import argparse
+import contextlib
 import os
 import sys
 import time
@@ -71,19 +72,24 @@ def command(options, comm):
 
 
 def say(text, rank):
-    """Print what a command has found. A reader that has seen enough, such as head, is no error."""
+    """Print what a command has found. A reader that has seen enough, such as head, is no error; a full disk is an OutputError."""
+    from pmpm.output.files import OutputError, explain
+
     if rank != 0:
         return
     try:
         print(text, flush=True)
-    except BrokenPipeError:
+    except OSError as error:
         # Python flushes once more when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            raise OutputError(f"standard output cannot be written: {explain(error)}") from error
 
 
 def complain(error, rank, status=WRONG_INPUT):
     if rank == 0:
-        print(f"pmpm: {error}", file=sys.stderr, flush=True)
+        with contextlib.suppress(OSError):  # nobody listens: the status still tells
+            print(f"pmpm: {error}", file=sys.stderr, flush=True)
     return status
 
 
@@ -206,13 +212,14 @@ def run_or_go_on(options, comm, early):
     """Carry out `run`; `early`: list of signals that have come, as long as nobody else takes them."""
     from pmpm import requests
     from pmpm.failure import NumericalFailure
+    from pmpm.output.files import OutputError
     from pmpm.run import OutputFailure, run_scene
     from pmpm.watching import STOP
 
     deadline = requests.deadline_of(options.walltime, BEGAN, comm.rank)
     begin = where_to_begin(options, comm)
-    if begin.message and comm.rank == 0:
-        print(f"pmpm: {begin.message}", file=sys.stderr, flush=True)
+    if begin.message:
+        complain(begin.message, comm.rank)
     if begin.scene is None:
         return FINISHED
     overwrite = options.overwrite or begin.anew
@@ -227,9 +234,10 @@ def run_or_go_on(options, comm, early):
     if stopped:
         complain(f"stopped on request ({requests.reason(simulation.asked)}) after step {simulation.step_count}, "
                  f"t = {simulation.time:.6g} s, with a checkpoint: --restart {begin.out} continues", comm.rank)  # fmt: skip
-    elif comm.rank == 0 and not options.quiet:
+    elif not options.quiet:
         out = begin.out
-        print(f"{out}: open {out}/snapshots.xdmf in ParaView, or run: pmpm info {out}", flush=True)
+        with contextlib.suppress(OutputError):  # the run itself is whole
+            say(f"{out}: open {out}/snapshots.xdmf in ParaView, or run: pmpm info {out}", comm.rank)
     return STOPPED if stopped else FINISHED
 
 

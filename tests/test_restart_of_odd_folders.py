@@ -3,9 +3,13 @@
 All on one process, with runs of a few steps.
 """
 
+import os
 import shutil
+import subprocess
+import sys
 
 import bits
+import launch
 import pytest
 import several_laws
 
@@ -149,3 +153,13 @@ def test_what_another_process_has_done_meanwhile_is_not_cut(folder, whole):
     with pytest.raises(OutputError, match="another process has gone on with this run meanwhile"):
         run_scene(scene(), folder / "run", Alone(), quiet=True, origin=origin)
     assert before.items() <= contents(folder / "run").items()
+
+
+@pytest.mark.parametrize("screen", ["2>&1 | head -n 1", "2> /dev/full > /dev/full", ">&- 2>&-"])
+def test_a_screen_that_is_gone_ends_no_run(screen, folder):
+    """The terminal closed, the reader of a pipe gone, the disk of a redirection full."""
+    command = f"{sys.executable} -m pmpm run scene.toml --out other {screen}"
+    environment = os.environ | {"PYTHONPATH": str(launch.ROOT)}
+    done = subprocess.run(["bash", "-c", command], env=environment, timeout=120, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert load("other").status == "finished"

@@ -22,16 +22,18 @@ class Progress:
 
     `end` is the simulated time in s at which the run ends. On a terminal there is one live bar; elsewhere one line at
     the first call, one every `interval` seconds of wall clock, and one at the end. The lines also go into log.txt of
-    `directory` (a RunDirectory), if one is given, and there also when `quiet` keeps the screen empty.
+    `directory` (a RunDirectory), if one is given, and there also when `quiet` keeps the screen empty. A screen that is gone
+    (terminal closed, reader of a pipe ended, disk of a redirection full) ends what is said there, not the run.
     """
 
     def __init__(
         self, end, comm, directory=None, quiet=False, interval=LINE_INTERVAL, stream=None, clock=time.perf_counter
     ):
-        self.end, self.comm, self.directory, self.quiet = end, comm, directory, quiet
+        self.end, self.comm, self.directory = end, comm, directory
         self.interval, self.clock = interval, clock
-        self.stream = sys.stderr if stream is None else stream
-        self.on_terminal = comm.rank == 0 and not quiet and self.stream.isatty()
+        self.stream: Any = sys.stderr if stream is None else stream  # None again for a process without one
+        self.quiet = quiet or self.stream is None
+        self.on_terminal = comm.rank == 0 and not self.quiet and self.stream.isatty()
         self.particles: int | None = None
         self.bar: Any = None
         self.due = self.line_due = -NEVER
@@ -68,7 +70,7 @@ class Progress:
         line = f"{self.line(simulation, now, self.began)}, took {duration(now - self.began.wall)}"
         if self.bar is not None:
             self.move_bar(simulation, line)
-            self.bar.close()
+            self.to_screen(lambda: self.bar.close())
         else:
             self.write(line)
         self.record(line)
@@ -80,7 +82,7 @@ class Progress:
             from tqdm import tqdm
 
             bar_format = "{percentage:3.0f} %|{bar:16}| {desc}"
-            self.bar = tqdm(total=self.end, file=self.stream, bar_format=bar_format, dynamic_ncols=True, mininterval=0)
+            self.to_screen(lambda: self.begin_bar(tqdm, bar_format))
 
     def show(self, simulation, now):
         line = self.line(simulation, now, self.last) + self.left(simulation, now)
@@ -113,15 +115,27 @@ class Progress:
             return ""
         return f", {duration((self.end - simulation.time) / done * wall)} left"
 
+    def begin_bar(self, tqdm, bar_format):
+        self.bar = tqdm(total=self.end, file=self.stream, bar_format=bar_format, dynamic_ncols=True, mininterval=0)
+
     def move_bar(self, simulation, line):
         self.bar.n = min(simulation.time, self.end)
-        self.bar.set_description_str(line, refresh=True)
+        self.to_screen(lambda: self.bar.set_description_str(line, refresh=True))
 
     def write(self, line):
         if self.bar is not None:
-            self.bar.write(line, file=self.stream)
-        elif not self.quiet:
-            print(line, file=self.stream, flush=True)
+            self.to_screen(lambda: self.bar.write(line, file=self.stream))
+        else:
+            self.to_screen(lambda: print(line, file=self.stream, flush=True))
+
+    def to_screen(self, action):
+        """Do something on the screen, as long as there is one."""
+        if self.quiet:
+            return
+        try:
+            action()
+        except (OSError, ValueError):  # ValueError: of a stream that Python has closed
+            self.quiet = True
 
     def record(self, line):
         if self.directory is not None:

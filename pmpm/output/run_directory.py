@@ -145,7 +145,8 @@ class RunDirectory:
                 file.write(f"{now()}  {message}\n")
         except OSError as error:
             if not self.log_lost:
-                print(f"pmpm: {self.path / LOG} cannot be written ({error}); messages are lost", file=sys.stderr)
+                with contextlib.suppress(OSError):
+                    print(f"pmpm: {self.path / LOG} cannot be written ({error}); messages are lost", file=sys.stderr)
             self.log_lost = True
 
     def finish(self, status, report=None):
@@ -166,7 +167,8 @@ class RunDirectory:
         except OSError as error:
             # Not raised: whatever ended the run is the message, and one rank alone knows of this.
             remove_quietly(unfinished_name(self.path / RECORD))
-            print(f"pmpm: {self.path / RECORD} cannot be written: {explain(error)}", file=sys.stderr)
+            with contextlib.suppress(OSError):
+                print(f"pmpm: {self.path / RECORD} cannot be written: {explain(error)}", file=sys.stderr)
         finally:
             with contextlib.suppress(OSError):
                 release_lock(self.path, self.lock)
