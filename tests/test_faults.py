@@ -115,6 +115,17 @@ def test_an_older_checkpoint_is_taken_only_if_what_came_later_may_go(folder, who
     assert bits.differences(whole, folder / "run") == []
 
 
+def test_snapshots_from_after_the_checkpoint_do_not_stay(folder):
+    place = stopped_on_the_way(folder, "0.033")
+    older = place / f"{checkpoints.numbers(place)[-1]:06d}.hdf"
+    settings = ["--overwrite", "--set", "output.snapshot_interval=0.04", "--until", "0.03"]
+    assert launch.python([*RUN, "--restart", older, *settings], 2, LIMIT, folder).status == 0
+    times = [snapshot.time for snapshot in load(folder / "run").snapshots]
+    assert times == sorted(times)
+    assert max(times) < 0.031
+    assert (folder / "run" / "snapshots.xdmf").read_text().count("<Time") == len(times)
+
+
 def test_a_branch_goes_into_a_folder_of_its_own_and_goes_on_counting(folder, whole):
     place = stopped_on_the_way(folder)
     before = contents(place) | contents(folder / "run" / "snapshots")

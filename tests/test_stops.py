@@ -17,6 +17,7 @@ from pmpm.output import checkpoints
 from pmpm.output.reader import load
 from pmpm.parallel.comm import Alone
 from pmpm.scene.errors import SceneError
+from pmpm.scene.schema import Scene
 from pmpm.watching import CHECKPOINT, OUT_OF_TIME, SIGNALLED
 
 DRIVER = Path(__file__).parent / "drivers" / "signal_one_rank.py"
@@ -24,7 +25,9 @@ LIMIT = 120
 
 
 def scene():
-    return several_laws.flat(end=0.05)
+    """With lines of diagnostics that do not come in every step: else a last one would not be too many."""
+    told = several_laws.flat(end=0.05).model_dump(exclude_none=True)
+    return Scene(**(told | {"output": told["output"] | {"diagnostics_interval": 0.004}}))
 
 
 @pytest.fixture(scope="module")
