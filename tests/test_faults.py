@@ -263,7 +263,8 @@ def test_the_state_of_a_failed_run_is_a_snapshot_marked_bad(tmp_path):
     assert f"its state is in {run / 'failed.hdf'}" in message
     assert "there is no checkpoint" in message
     assert "left the domain" in Snapshot(run / "failed.hdf").attributes["failure"]
-    assert "failed" in describe(run / "failed.hdf")
+    assert "failed        step" in describe(run / "failed.hdf")
+    assert f"failed state  {run / 'failed.hdf'}" in describe(run)
     assert "failed.hdf" not in (run / "snapshots.xdmf").read_text()
 
 
@@ -281,6 +282,7 @@ def test_the_newest_good_checkpoint_is_named(tmp_path):
     message, run = failed(scene, tmp_path)
     newest = run / "checkpoints" / f"{checkpoints.numbers(run / 'checkpoints')[0]:06d}.hdf"
     assert f"the newest good checkpoint is {newest}" in message
+    assert f", the newest at step {checkpoints.read_manifest(newest)['step']}" in describe(run)
     assert Simulation.restart(newest).step_count > 0
 
 
