@@ -67,6 +67,19 @@ def test_a_checkpoint_of_one_process_goes_on_with_its_bits_on_several_ranks(name
     assert run_on(COMM, path, scene) == bits(alone)
 
 
+def test_a_copy_is_of_the_particles_that_each_rank_had_then(path):
+    scene = several_laws.flat()
+    alone, together = Simulation(scene), Simulation(scene, COMM)
+    alone.run(steps=BEFORE + AFTER)
+    together.run(steps=BEFORE)
+    copy, before = together.state().copy(), together.rows()
+    together.run(steps=100)
+    assert any(COMM.gather(together.rows() != before))
+    pieces, attributes = together.datasets(copy)
+    checkpoints.write_checkpoint(COMM, path, pieces, attributes, "pwrite")
+    assert run_on(COMM, path, scene) == bits(alone)
+
+
 def test_cuts_in_other_places_write_a_checkpoint_with_the_same_bits(path):
     simulation = Simulation(several_laws.flat(), COMM)
     simulation.run(steps=BEFORE)
