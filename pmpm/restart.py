@@ -27,16 +27,14 @@ EITHER_OR = {"time.step": "cfl", "time.cfl": "step"}  # of which a scene gives o
 
 @dataclass
 class Origin:
-    """Where a restart begins: a good checkpoint file, the scene in it as text, and complaints about newer ones."""
+    """Where a restart begins: a good checkpoint file, the folder of the run that it lies in or None, the scene in it as text,
+    complaints about newer ones, and the numbers of all checkpoints that lay beside it."""
 
     path: Path
+    run: Path | None
     text: str
     complaints: list[tuple[int, str]]
-
-    @property
-    def run(self):
-        """The folder of the run that wrote the checkpoint, None if the file does not lie in one."""
-        return self.path.parent.parent if self.path.parent.name == CHECKPOINTS else None
+    beside: list[int]
 
     @property
     def number(self):
@@ -47,8 +45,7 @@ class Origin:
     def newer(self):
         """Numbers of checkpoints of its run that came later and are not known to be damaged, newest first."""
         damaged = {number for number, _ in self.complaints}
-        later = [number for number in checkpoints.numbers(self.path.parent) if number > self.number]
-        return [number for number in later if number not in damaged]
+        return [number for number in self.beside if number > self.number and number not in damaged]
 
     def notes(self, simulation):
         """What to tell of a restart, one line each."""
@@ -81,18 +78,19 @@ def begin(path, scene, overrides, out, overwrite, comm):
     Where no run is yet, the scene given begins there; where a run is without a checkpoint, it begins anew; where a run has
     finished, and nothing is to change, there is nothing to do. So one command serves every start of a job.
     """
-    is_file, status, scene_file, held = on_rank_zero(comm, lambda: look(path))
     out = path if out is None else out
+    in_place = on_rank_zero(comm, lambda: os.path.realpath(out) == os.path.realpath(path))
+    is_file, status, scene_file, held = on_rank_zero(comm, lambda: look(path))
     if not is_file and not held:
-        return begin_without_checkpoint(path, scene, overrides, out, status, scene_file)
+        return begin_without_checkpoint(path, scene, overrides, out, in_place, status, scene_file)
     origin = find(path, comm)
-    if is_file and out == path:
+    if is_file and in_place:
         if origin.run is None:
             raise SceneError(f"--restart {path}: does not lie in a run's folder: give an output folder (--out DIR)")
         out = origin.run
     scene = scene or scene_of(origin, overrides)
     changed = changes(origin, scene)
-    if status == "finished" and not changed and out == path and not overwrite:
+    if status == "finished" and not changed and in_place and not overwrite:
         return Begin(
             None, out, message=f"{path} has finished, nothing is left to do; a later time.end would continue it"
         )
@@ -104,13 +102,15 @@ def look(path):
     place = Path(path)
     if place.is_file():
         return True, None, None, []
+    if place.suffix == ".hdf" and not place.is_dir():
+        raise OutputError(f"--restart {path}: there is no such checkpoint")
     status = read_status(place) if read_record(place) is not None else None
     scene_file = place / run_directory.SCENE
     text = scene_file.read_text(encoding="utf-8", errors="replace") if status and scene_file.is_file() else None
     return False, status, text, checkpoints.numbers(place / CHECKPOINTS)
 
 
-def begin_without_checkpoint(path, scene, overrides, out, status, text):
+def begin_without_checkpoint(path, scene, overrides, out, in_place, status, text):
     if status is None and scene is None:
         raise SceneError(f"--restart {path}: holds neither a run nor a checkpoint, and no SCENE is given to begin one")
     if status is None:
@@ -126,7 +126,7 @@ def begin_without_checkpoint(path, scene, overrides, out, status, text):
         raise SceneError(
             f"--restart {path}: has finished and holds no checkpoint from which to go on with a changed scene"
         )
-    return Begin(scene, out, None, out == path, f"{path} holds no checkpoint yet: the run begins anew")
+    return Begin(scene, out, None, in_place, f"{path} holds no checkpoint yet: the run begins anew")
 
 
 def find(path, comm):
@@ -140,17 +140,33 @@ def find(path, comm):
         if complaint is not None:
             other = checkpoints.newest_good(path.parent, comm)[0]
             raise OutputError(complaint + (f"; the newest good checkpoint beside it is {other}" if other else ""))
-        return Origin(path, on_rank_zero(comm, lambda: scene_text(path)), [])
+        return origin_at(path, [], comm)
     good, complaints = checkpoints.newest_good(path / CHECKPOINTS, comm)
     if good is None:
         told = "; ".join(complaint for _, complaint in complaints)
         raise OutputError(f"{path} holds no good checkpoint{': ' + told if told else ''}")
-    return Origin(good, on_rank_zero(comm, lambda: scene_text(good)), complaints)
+    return origin_at(good, complaints, comm)
+
+
+def origin_at(path, complaints, comm):
+    """The Origin of a good checkpoint file. Collective."""
+    run, text, beside = on_rank_zero(comm, lambda: (run_of(path), scene_text(path), checkpoints.numbers(path.parent)))
+    return Origin(path, run, text, complaints, beside)
+
+
+def run_of(path):
+    """The folder of the run in which a checkpoint file lies, or None.
+
+    A folder that holds nothing of a run but checkpoints, copied from somewhere, is none: what else is there must not be cut.
+    """
+    place = path.parent.parent
+    numbered = path.parent.name == CHECKPOINTS and path.stem.isdecimal()
+    return place if numbered and run_directory.is_run(place) else None
 
 
 def check_folder(out, overwrite, origin):
     """The absolute path of the folder for a run; OutputError if it may not be written there. Changes nothing."""
-    if origin is None or os.path.abspath(out) != str(origin.run):
+    if origin is None or os.path.realpath(out) != str(origin.run):
         return run_directory.check_new(out, overwrite)
     place = origin.run
     run_directory.check_writable(place)

@@ -60,7 +60,7 @@ class Control(Numbers):
 
 class Record(Numbers):
     """All of it. `counts`: of each regular output (interval in s, number of the next time it is due); `outputs`: how many
-    snapshots and lines of diagnostics there were."""
+    snapshots and lines of diagnostics there were, and after which step the last ones came."""
 
     time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     step_count: Count

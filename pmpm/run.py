@@ -13,10 +13,13 @@ from pmpm.watching import CHECKPOINT, STOP
 
 
 class Once:
-    """Calls an output at most once per step, so that the last state is written whatever the interval."""
+    """Calls an output at most once per step, so that the last state is written whatever the interval.
 
-    def __init__(self, call):
-        self.call, self.step = call, None
+    `step`: for which it has been called before a restart, if so.
+    """
+
+    def __init__(self, call, step=None):
+        self.call, self.step = call, step
 
     def __call__(self, simulation):
         if self.step != simulation.step_count:
@@ -73,7 +76,9 @@ def open_folder(folder, simulation, origin, overwrite):
         return run_directory.RunDirectory.create(folder, scene, comm, overwrite)
     beginning = {"checkpoint": str(origin.path), "step": simulation.step_count, "time": simulation.time}
     if folder == origin.run:
-        return run_directory.RunDirectory.resume(folder, scene, comm, beginning, simulation.outputs, origin.newer)
+        return run_directory.RunDirectory.resume(
+            folder, scene, comm, beginning, simulation.outputs, origin.newer, origin.beside
+        )
     return run_directory.RunDirectory.create(folder, scene, comm, overwrite, beginning)
 
 
@@ -92,6 +97,10 @@ class Outputs:
         self.progress = progress
         self.snapshots = SnapshotWriter(directory, scene, first=before.get("snapshots", 0))
         self.diagnostics = Diagnostics(directory, before.get("diagnostics", 0))
+        # In another folder, where a run branches off, the first state is not a second one.
+        at = before if origin and directory.path == origin.run else {}
+        self.last_snapshot = Once(self.snapshots, at.get("snapshot_step"))
+        self.last_diagnostics = Once(self.diagnostics, at.get("diagnostics_step"))
         bad = [number for number, _ in origin.complaints] if origin else []
         self.checkpoints = checkpoints.CheckpointWriter(directory, scene.output.checkpoint_keep, self.counts, bad=bad)
         self.copy = None
@@ -99,14 +108,16 @@ class Outputs:
             progress.stage(note)
 
     def counts(self):
-        """How much there is of what is counted, as a checkpoint holds it."""
-        return {"snapshots": self.snapshots.count, "diagnostics": self.diagnostics.count}
+        """How much there is of what is counted, and after which step the last one came, as a checkpoint holds it."""
+        steps = {"snapshot_step": self.last_snapshot.step, "diagnostics_step": self.last_diagnostics.step}
+        known = {name: step for name, step in steps.items() if step is not None}
+        return {"snapshots": self.snapshots.count, "diagnostics": self.diagnostics.count} | known
 
     def run(self, until, steps):
         """Run the simulation with everything attached, and write what belongs to its end."""
         simulation, begins = self.simulation, self.origin is None
         output, guard = simulation.scene.output, simulation.scene.guard
-        snapshots, diagnostics = Once(self.snapshots), Once(self.diagnostics)
+        snapshots, diagnostics = self.last_snapshot, self.last_diagnostics
         simulation.every(snapshots, seconds=output.snapshot_interval, at_start=begins, name="snapshots")
         simulation.every(diagnostics, seconds=output.diagnostics_interval, at_start=begins, name="diagnostics")
         simulation.every(self.progress, steps=1, at_start=True)

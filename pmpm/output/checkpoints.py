@@ -205,6 +205,8 @@ def read_manifest(path):
     path, manifest = Path(path), manifest_of(path)
     if not path.is_file():
         raise OutputError(f"{path} does not exist")
+    if path.suffix != ".hdf":
+        raise OutputError(f"{path} is no checkpoint: the name of one ends in .hdf")
     if not manifest.is_file():
         raise OutputError(f"{path} is no finished checkpoint: it has no manifest {manifest.name}")
     if manifest.stat().st_size > MOST_MANIFEST:

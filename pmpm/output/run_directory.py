@@ -37,6 +37,7 @@ FAILED = "failed.hdf"
 INDEX, DIAGNOSTICS, SNAPSHOTS, CHECKPOINTS = "snapshots.xdmf", "diagnostics.csv", "snapshots", "checkpoints"
 OWN_FILES = (SCENE, LOG, INDEX, DIAGNOSTICS, FAILED)
 OWN_FOLDERS = (SNAPSHOTS, CHECKPOINTS)
+DIAGNOSTICS_HEAD = b"step,time,dt,"  # with which a file of diagnostics begins
 NUMBERED = re.compile(r"\d{6,}\.hdf")
 OWN_NAMES = re.compile(r"\d{6,}\.(hdf|json)|\.\d{6,}\.(hdf|json)\.unfinished")
 ENDED = ("Z", "X")  # states of processes that only stand in the table
@@ -84,12 +85,13 @@ class RunDirectory:
         return cls(Path(place), comm, record, lock)
 
     @classmethod
-    def resume(cls, path, scene_toml, comm, beginning, outputs, discarded=()):
+    def resume(cls, path, scene_toml, comm, beginning, outputs, discarded=(), found=None):
         """Take the folder `path` of a run to go on with it. Collective. OutputError as for `create`.
 
         `beginning`: what run.json says of this restart. What was written after the checkpoint goes: snapshots beyond
         `outputs["snapshots"]` and lines of diagnostics beyond `outputs["diagnostics"]`, for they come again, and the
-        checkpoints with numbers in `discarded`.
+        checkpoints with numbers in `discarded`. `found`: numbers of all that were there when the one to go on from was chosen;
+        if there are others now, another process has gone on meanwhile, and what it did is not cut.
         """
         hosts = comm.gather(socket.gethostname())
 
@@ -98,9 +100,17 @@ class RunDirectory:
             check_writable(place)
             lock = take_lock(place)
             try:
+                if found is not None and checkpoint_numbers(place) != set(found):
+                    raise OutputError(
+                        f"{place}: another process has gone on with this run meanwhile: start again to go on from there"
+                    )
                 before = read_record(place) or {}
                 record = opening_record(hosts)
-                earlier = [*before.get("restarts", []), beginning | {"at": record["started"], "ranks": len(hosts)}]
+                told = before.get("restarts")
+                earlier = [
+                    *(told if isinstance(told, list) else ()),
+                    beginning | {"at": record["started"], "ranks": len(hosts)},
+                ]
                 record["started"] = before.get("started", record["started"])
                 remove_checkpoints(place, discarded)
                 remove_unfinished(place)
@@ -229,6 +239,11 @@ def remove_checkpoints(place, numbers=None):
                 entry.unlink()
 
 
+def checkpoint_numbers(place):
+    """Numbers of the finished checkpoints of a run."""
+    return {int(entry.stem) for entry in (place / CHECKPOINTS).glob("*.json") if OWN_NAMES.fullmatch(entry.name)}
+
+
 def remove_unfinished(place):
     """Delete files that a process was writing when it died."""
     for folder in (place, *(place / name for name in OWN_FOLDERS)):
@@ -238,11 +253,17 @@ def remove_unfinished(place):
 
 
 def keep_lines(path, count):
-    """Cut a file of lines after its head and `count` lines; returns how many are missing."""
+    """Cut a file of lines after its head and `count` lines; returns how many are missing.
+
+    One that does not begin as it should is put aside: nobody can say what may still be read of it.
+    """
     if count == 0 or not path.exists():
         path.unlink(missing_ok=True)
         return count
     lines = path.read_bytes().splitlines(keepends=True)
+    if not lines or not lines[0].startswith(DIAGNOSTICS_HEAD):
+        os.replace(path, path.with_name(f"{path.name}.damaged"))
+        return count
     whole = [line for line in lines[: count + 1] if line.endswith(b"\n")]
     if len(whole) < len(lines):
         unfinished_name(path).write_bytes(b"".join(whole))
@@ -285,6 +306,11 @@ def read_record(place):
     if not isinstance(record, dict) or record.get("format") != FORMAT or "status" not in record:
         return None
     return record
+
+
+def is_run(place):
+    """Whether a folder is a run's: it has the record of one, or, should that be lost, the scene."""
+    return read_record(place) is not None or (Path(place) / SCENE).is_file()
 
 
 def read_status(place):

@@ -66,7 +66,9 @@ class SnapshotWriter:
         self.entries: list[str] = []
         on_rank_zero(self.comm, lambda: (directory.path / SNAPSHOTS).mkdir(exist_ok=True))
         if first > 0:
-            self.entries = on_rank_zero(self.comm, lambda: entries_on_disk(directory.path, self.names))
+            self.entries, damaged = on_rank_zero(self.comm, lambda: entries_on_disk(directory.path, self.names))
+            for complaint in damaged:
+                directory.log(f"warning: {complaint}: left out of {INDEX}")
         hosts = set(self.comm.gather(socket.gethostname()))
         if self.parallel == "pwrite" and len(hosts) > 1:
             directory.log(
@@ -103,18 +105,22 @@ def write_failed(directory, simulation, message):
 
 
 def entries_on_disk(place, names):
-    """Entries of the index for the snapshots that a run has left in its folder, fields in the order of `names`."""
-    from pmpm.output.reader import open_snapshot
+    """(entries of the index for the snapshots that a run has left in its folder, fields in the order of `names`; complaints
+    about those that cannot be read)."""
+    from pmpm.output.reader import reading
 
-    entries = []
+    entries, complaints = [], []
     for path in snapshot_files(place):
-        with open_snapshot(path) as file:
-            fields = {f"VTKHDF/PointData/{name}": None for name in ["id", *names]}
-            fields |= {f"VTKHDF/PointData/{name}": None for name in file["VTKHDF/PointData"]}
-            wanted = ["VTKHDF/Points", "VTKHDF/Connectivity", *fields]
-            shapes = {name: (file[name].shape, file[name].dtype) for name in wanted if name in file}
-            entries.append(index_entry(path, file["pmpm"].attrs["time"], shapes))
-    return entries
+        try:
+            with reading(path) as file:
+                fields = {f"VTKHDF/PointData/{name}": None for name in ["id", *names]}
+                fields |= {f"VTKHDF/PointData/{name}": None for name in file["VTKHDF/PointData"]}
+                wanted = ["VTKHDF/Points", "VTKHDF/Connectivity", *fields]
+                shapes = {name: (file[name].shape, file[name].dtype) for name in wanted if name in file}
+                entries.append(index_entry(path, file["pmpm"].attrs["time"], shapes))
+        except OutputError as error:
+            complaints.append(explain(error))
+    return entries, complaints
 
 
 def default_parallel(comm):
