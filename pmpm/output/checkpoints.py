@@ -17,7 +17,15 @@ from pathlib import Path
 import numpy as np
 from xxhash import xxh3_64
 
-from pmpm.output.files import OutputError, explain, on_rank_zero, raise_together, sync_folder, unfinished_name
+from pmpm.output.files import (
+    OutputError,
+    explain,
+    on_rank_zero,
+    raise_together,
+    remove_quietly,
+    sync_folder,
+    unfinished_name,
+)
 from pmpm.output.run_directory import CHECKPOINTS, now
 from pmpm.output.snapshots import FORMAT_VERSION as SNAPSHOT_VERSION
 from pmpm.output.snapshots import default_parallel, write_datasets
@@ -26,6 +34,7 @@ FORMAT, FORMAT_VERSION = "pmpm checkpoint", 1
 MANIFEST = re.compile(r"(\d{6,})\.json")
 NUMBERED = re.compile(r"\.?(\d{6,})\.(hdf|json)(\.unfinished)?")
 PIECE = 1 << 24  # bytes that are looked at in one go
+MOST_HEAD = 200  # bytes of a manifest in which it says what it is
 MOST_MANIFEST, MOST_TEXT = 1 << 28, 1 << 26  # bytes
 
 
@@ -66,13 +75,43 @@ class CheckpointWriter:
 
 
 def save(simulation, path):
-    """Write a checkpoint of a simulation to `path`, whatever was there. Collective; OutputError on all ranks if any fails."""
+    """Write a checkpoint of a simulation to `path`, in the place of one that was there. Collective.
+
+    OutputError on all ranks if any fails, and what was there is as it was: the new one is whole before it takes the name.
+    """
     path, comm = Path(path), simulation.comm
     if path.suffix != ".hdf":
         raise OutputError(f"{path}: the name of a checkpoint must end in .hdf")
-    on_rank_zero(comm, lambda: manifest_of(path).unlink(missing_ok=True))
+    on_rank_zero(comm, lambda: check_replaceable(path))
     pieces, attributes = simulation.datasets(simulation.state())
-    write_checkpoint(comm, path, pieces, attributes, default_parallel(comm))
+    new = path.with_name(f".{path.stem}.new.hdf")
+    try:
+        write_checkpoint(comm, new, pieces, attributes, default_parallel(comm))
+        on_rank_zero(comm, lambda: rename(new, path))
+    except OutputError as error:
+        if comm.rank == 0:
+            remove_quietly(new)
+            remove_quietly(manifest_of(new))
+        raise OutputError(str(error).replace(str(new), str(path))) from error
+
+
+def check_replaceable(path):
+    """Raise OutputError where a checkpoint would take the place of what is none."""
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder")
+    manifest = manifest_of(path)
+    if manifest.exists() and not (manifest.is_file() and FORMAT.encode() in manifest.read_bytes()[:MOST_HEAD]):
+        raise OutputError(
+            f"{manifest} is no manifest of a checkpoint, and {path.name} would need one there: give another name"
+        )
+
+
+def rename(old, new):
+    """Give a checkpoint another name. The manifests go last and first: never is one beside another's file."""
+    manifest_of(new).unlink(missing_ok=True)
+    os.replace(old, new)
+    os.replace(manifest_of(old), manifest_of(new))
+    sync_folder(new.parent)
 
 
 def write_checkpoint(comm, path, pieces, attributes, parallel):

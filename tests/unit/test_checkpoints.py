@@ -354,3 +354,49 @@ def resign(path):
     """Give a file of any bytes a manifest with the right checksum."""
     data = path.read_bytes()
     sign(path, {"datasets": {}, "bytes": len(data), "rest": xxh3_64(data).intdigest()})
+
+
+# ---- saving over what is there -------------------------------------------------------------------------------------------
+
+
+def test_a_save_that_fails_leaves_the_checkpoint_that_was_there(tmp_path, monkeypatch):
+    path = tmp_path / "here.hdf"
+    simulation = Simulation(several_laws.flat())
+    simulation.save(path)
+    before = {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()}
+    simulation.run(steps=2)
+
+    def full(file, manifest, told):
+        raise OSError(28, "No space left on device", str(file))
+
+    monkeypatch.setattr(checkpoints, "write_manifest", full)
+    with pytest.raises(OutputError, match="here.hdf: No space left"):
+        simulation.save(path)
+    assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == before
+
+
+def test_a_save_takes_the_place_of_an_older_checkpoint(tmp_path):
+    simulation = Simulation(several_laws.flat())
+    for steps in (1, 2):
+        simulation.run(steps=1)
+        simulation.save(tmp_path / "here.hdf")
+        assert Simulation.restart(tmp_path / "here.hdf").step_count == steps
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["here.hdf", "here.json"]
+
+
+@pytest.mark.parametrize("text", ["{}", "", "my own"])
+def test_a_save_overwrites_no_json_file_that_is_no_manifest(text, tmp_path):
+    (tmp_path / "here.json").write_text(text)
+    with pytest.raises(OutputError, match="here.json is no manifest of a checkpoint"):
+        Simulation(several_laws.flat()).save(tmp_path / "here.hdf")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["here.json"]
+    assert (tmp_path / "here.json").read_text() == text
+
+
+def test_a_save_to_a_folder_or_into_none_is_refused(tmp_path):
+    (tmp_path / "here.hdf").mkdir()
+    simulation = Simulation(several_laws.flat())
+    with pytest.raises(OutputError, match="here.hdf is a folder"):
+        simulation.save(tmp_path / "here.hdf")
+    with pytest.raises(OutputError, match="gone/here.hdf cannot be written: No such file or directory"):
+        simulation.save(tmp_path / "gone" / "here.hdf")
