@@ -1,5 +1,6 @@
 """From a checkpoint on the disk back to a simulation: which checkpoint, with which scene, and what may have changed in it."""
 
+import contextlib
 import os
 import re
 from dataclasses import dataclass
@@ -14,7 +15,6 @@ from pmpm.scene import files
 from pmpm.scene.errors import SceneError
 from pmpm.scene.messages import path_text, value_text
 from pmpm.scene.schema import Scene
-from pmpm.simulation import Simulation
 
 # What may change at a restart: keys that change no particle and no node, and of those the ones that act on what moves.
 WATCHING = r"title|time\.end|output\..+|guard\..+"
@@ -223,17 +223,12 @@ def leaves(value, path=()):
     return {path_text(path): value}
 
 
-def simulation(origin, scene, comm, tell=None):
-    """The Simulation that goes on from a checkpoint; `scene` None for the one in it. Collective."""
-    scene = scene or scene_of(origin, {})
+@contextlib.contextmanager
+def opened(origin, scene):
+    """What fills a simulation of this scene from a checkpoint. Raises SceneError for changes that a run cannot take."""
     drives = any(re.fullmatch(DRIVING, key) for key in changes(origin, scene))
     file = CheckpointFile(origin.path)
     try:
-        made = Simulation(scene, comm, tell, Continuation(file, drives))
+        yield Continuation(file, drives)
     finally:
         file.close()
-    if made.time > scene.time.end:
-        raise SceneError(
-            f"{origin.path}: time.end = {scene.time.end} s lies before the checkpoint, t = {made.time:.6g} s"
-        )
-    return made

@@ -17,6 +17,7 @@ from pmpm.kernels.needs import labels
 from pmpm.kernels.places import FORMATS
 from pmpm.output.files import OutputError
 from pmpm.output.snapshots import Later, snapshot_attributes, topology
+from pmpm.scene.errors import SceneError
 from pmpm.state.particles import Ordered, Population
 
 OWN = "restart"  # the group of a checkpoint that a snapshot has not
@@ -223,7 +224,11 @@ class Continuation:
 
     def fill(self, simulation):
         """Give every rank the particles of its layers, in their order, and the simulation its numbers. Collective."""
-        record = self.record
+        record, end = self.record, simulation.scene.time.end
+        if record.time > end:
+            raise SceneError(
+                f"{self.file.path}: time.end = {end} s lies before the checkpoint, t = {record.time:.6g} s"
+            )
         first, last = simulation.first_layer, simulation.last_layer
         ids, velocities = self.common(simulation)
         laws = []

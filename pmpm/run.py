@@ -47,7 +47,7 @@ def run_scene(
         if origin is None:
             simulation = Simulation(scene, comm, tell=progress.stage)
         else:
-            simulation = restart.simulation(origin, scene, comm, tell=progress.stage)
+            simulation = Simulation.go_on(origin, scene, comm, tell=progress.stage)
         directory = open_folder(folder, simulation, origin, overwrite)
         progress.directory = directory
         status, report, outputs = "failed", {}, None
