@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from pmpm.output import checkpoints, run_directory
+from pmpm.output import manifests, run_directory
 from pmpm.output.checkpoints import CheckpointFile
 from pmpm.output.files import OutputError, on_rank_zero
 from pmpm.output.run_directory import CHECKPOINTS, read_record, read_status
@@ -107,7 +107,7 @@ def look(path):
     status = read_status(place) if read_record(place) is not None else None
     scene_file = place / run_directory.SCENE
     text = scene_file.read_text(encoding="utf-8", errors="replace") if status and scene_file.is_file() else None
-    return False, status, text, checkpoints.numbers(place / CHECKPOINTS)
+    return False, status, text, manifests.numbers(place / CHECKPOINTS)
 
 
 def begin_without_checkpoint(path, scene, overrides, out, in_place, status, text):
@@ -136,12 +136,12 @@ def find(path, comm):
     """
     path, is_file = on_rank_zero(comm, lambda: (Path(path).resolve(), Path(path).is_file()))
     if is_file:
-        complaint = checkpoints.complaint_about(path, comm)
+        complaint = manifests.complaint_about(path, comm)
         if complaint is not None:
-            other = checkpoints.newest_good(path.parent, comm)[0]
+            other = manifests.newest_good(path.parent, comm)[0]
             raise OutputError(complaint + (f"; the newest good checkpoint beside it is {other}" if other else ""))
         return origin_at(path, [], comm)
-    good, complaints = checkpoints.newest_good(path / CHECKPOINTS, comm)
+    good, complaints = manifests.newest_good(path / CHECKPOINTS, comm)
     if good is None:
         told = "; ".join(complaint for _, complaint in complaints)
         raise OutputError(f"{path} holds no good checkpoint{': ' + told if told else ''}")
@@ -150,7 +150,7 @@ def find(path, comm):
 
 def origin_at(path, complaints, comm):
     """The Origin of a good checkpoint file. Collective."""
-    run, text, beside = on_rank_zero(comm, lambda: (run_of(path), scene_text(path), checkpoints.numbers(path.parent)))
+    run, text, beside = on_rank_zero(comm, lambda: (run_of(path), scene_text(path), manifests.numbers(path.parent)))
     return Origin(path, run, text, complaints, beside)
 
 

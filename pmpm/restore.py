@@ -15,8 +15,9 @@ from pmpm import estimate, readout
 from pmpm.kernels.loops import FARTHEST, OVERFLOW
 from pmpm.kernels.needs import labels
 from pmpm.kernels.places import FORMATS
+from pmpm.output.datasets import Later
 from pmpm.output.files import OutputError
-from pmpm.output.snapshots import Later, snapshot_attributes, topology
+from pmpm.output.layout import snapshot_attributes, topology
 from pmpm.scene.errors import SceneError
 from pmpm.state.particles import Ordered, Population
 

@@ -13,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pmpm.output import manifests
 from pmpm.output.files import OutputError
+from pmpm.output.layout import FORMAT_VERSION
 from pmpm.output.run_directory import (
     CHECKPOINTS,
     DIAGNOSTICS,
@@ -24,7 +26,6 @@ from pmpm.output.run_directory import (
     read_status,
     snapshot_files,
 )
-from pmpm.output.snapshots import FORMAT_VERSION
 
 WHOLE_NUMBERS = ("step", "particles")
 ATTRIBUTES = {"time": float, "step": int, "dt": float, "title": str, "dim": int, "precision": str, "materials": list}
@@ -316,14 +317,12 @@ def describe_run(run):
 
 def checkpoint_lines(place):
     """What there is to go on from, as the manifests say: whether the files are as good is seen when one is used."""
-    from pmpm.output import checkpoints
-
     folder = place / CHECKPOINTS
-    held = checkpoints.numbers(folder)
+    held = manifests.numbers(folder)
     lines = [f"checkpoints   {len(held)}"]
     if held:
         try:
-            newest = checkpoints.read_manifest(folder / f"{held[0]:06d}.hdf")
+            newest = manifests.read_manifest(folder / f"{held[0]:06d}.hdf")
             lines[-1] += f", the newest at step {newest['step']}, t = {newest['time']:.6g} s"
         except OutputError as error:
             lines[-1] += f"; {error}"

@@ -6,7 +6,7 @@ import several_laws
 from mpi4py import MPI
 from test_drive_mpi import scene as driven
 
-from pmpm.output import checkpoints
+from pmpm.output import checkpoints, manifests
 from pmpm.output.files import OutputError
 from pmpm.parallel.comm import World
 from pmpm.simulation import Simulation
@@ -94,7 +94,7 @@ def test_cuts_in_other_places_write_a_checkpoint_with_the_same_bits(path):
 def test_each_byte_of_a_rank_is_under_a_checksum_of_that_rank(path):
     simulation = Simulation(several_laws.flat(), COMM)
     simulation.save(path)
-    held = checkpoints.read_manifest(path)
+    held = manifests.read_manifest(path)
     assert len(held["datasets"]["VTKHDF/Points"]) == COMM.size
     assert (
         sum(nbytes for _, nbytes, _ in held["datasets"]["VTKHDF/Points"])
