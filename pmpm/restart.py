@@ -1,11 +1,12 @@
 """From a checkpoint on the disk back to a simulation: which checkpoint, with which scene, and what may have changed in it."""
 
+import contextlib
 import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from pmpm.output import checkpoints, run_directory
+from pmpm.output import manifests, run_directory
 from pmpm.output.checkpoints import CheckpointFile
 from pmpm.output.files import OutputError, on_rank_zero
 from pmpm.output.run_directory import CHECKPOINTS, read_record, read_status
@@ -14,7 +15,6 @@ from pmpm.scene import files
 from pmpm.scene.errors import SceneError
 from pmpm.scene.messages import path_text, value_text
 from pmpm.scene.schema import Scene
-from pmpm.simulation import Simulation
 
 # What may change at a restart: keys that change no particle and no node, and of those the ones that act on what moves.
 WATCHING = r"title|time\.end|output\..+|guard\..+"
@@ -107,7 +107,7 @@ def look(path):
     status = read_status(place) if read_record(place) is not None else None
     scene_file = place / run_directory.SCENE
     text = scene_file.read_text(encoding="utf-8", errors="replace") if status and scene_file.is_file() else None
-    return False, status, text, checkpoints.numbers(place / CHECKPOINTS)
+    return False, status, text, manifests.numbers(place / CHECKPOINTS)
 
 
 def begin_without_checkpoint(path, scene, overrides, out, in_place, status, text):
@@ -136,12 +136,12 @@ def find(path, comm):
     """
     path, is_file = on_rank_zero(comm, lambda: (Path(path).resolve(), Path(path).is_file()))
     if is_file:
-        complaint = checkpoints.complaint_about(path, comm)
+        complaint = manifests.complaint_about(path, comm)
         if complaint is not None:
-            other = checkpoints.newest_good(path.parent, comm)[0]
+            other = manifests.newest_good(path.parent, comm)[0]
             raise OutputError(complaint + (f"; the newest good checkpoint beside it is {other}" if other else ""))
         return origin_at(path, [], comm)
-    good, complaints = checkpoints.newest_good(path / CHECKPOINTS, comm)
+    good, complaints = manifests.newest_good(path / CHECKPOINTS, comm)
     if good is None:
         told = "; ".join(complaint for _, complaint in complaints)
         raise OutputError(f"{path} holds no good checkpoint{': ' + told if told else ''}")
@@ -150,7 +150,7 @@ def find(path, comm):
 
 def origin_at(path, complaints, comm):
     """The Origin of a good checkpoint file. Collective."""
-    run, text, beside = on_rank_zero(comm, lambda: (run_of(path), scene_text(path), checkpoints.numbers(path.parent)))
+    run, text, beside = on_rank_zero(comm, lambda: (run_of(path), scene_text(path), manifests.numbers(path.parent)))
     return Origin(path, run, text, complaints, beside)
 
 
@@ -223,17 +223,12 @@ def leaves(value, path=()):
     return {path_text(path): value}
 
 
-def simulation(origin, scene, comm, tell=None):
-    """The Simulation that goes on from a checkpoint; `scene` None for the one in it. Collective."""
-    scene = scene or scene_of(origin, {})
+@contextlib.contextmanager
+def opened(origin, scene):
+    """What fills a simulation of this scene from a checkpoint. Raises SceneError for changes that a run cannot take."""
     drives = any(re.fullmatch(DRIVING, key) for key in changes(origin, scene))
     file = CheckpointFile(origin.path)
     try:
-        made = Simulation(scene, comm, tell, Continuation(file, drives))
+        yield Continuation(file, drives)
     finally:
         file.close()
-    if made.time > scene.time.end:
-        raise SceneError(
-            f"{origin.path}: time.end = {scene.time.end} s lies before the checkpoint, t = {made.time:.6g} s"
-        )
-    return made

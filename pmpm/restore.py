@@ -15,8 +15,10 @@ from pmpm import estimate, readout
 from pmpm.kernels.loops import FARTHEST, OVERFLOW
 from pmpm.kernels.needs import labels
 from pmpm.kernels.places import FORMATS
+from pmpm.output.datasets import Later
 from pmpm.output.files import OutputError
-from pmpm.output.snapshots import Later, snapshot_attributes, topology
+from pmpm.output.layout import snapshot_attributes, topology
+from pmpm.scene.errors import SceneError
 from pmpm.state.particles import Ordered, Population
 
 OWN = "restart"  # the group of a checkpoint that a snapshot has not
@@ -80,6 +82,11 @@ class State:
     record: dict
     populations: list[Population]
 
+    @property
+    def rows(self):
+        """How many particles this rank holds."""
+        return sum(map(len, self.populations))
+
     def copy(self):
         """The same, for later: the simulation's own particles move on."""
         return State(self.record, [population.copy() for population in self.populations])
@@ -107,12 +114,12 @@ def state(simulation, outputs=None):
 
 def datasets(simulation, held):
     """({dataset: this rank's rows}, {group: attributes}) of a checkpoint that holds a State. Collective."""
-    first, count = simulation.comm.offsets(simulation.rows())
+    first, count = simulation.comm.offsets(held.rows)
     kernels, laws = (
         simulation.kernels,
         zip(labels(simulation.needs.laws), held.populations, simulation.layouts, strict=True),
     )
-    found = topology(simulation.comm, first, simulation.rows(), count) | common_rows(simulation, held)
+    found = topology(simulation.comm, first, held.rows, count) | common_rows(simulation, held)
     for label, population, layout in laws:
         for field in layout.fields:
             if field.name not in STORED_ELSEWHERE:
@@ -149,7 +156,7 @@ def common_rows(simulation, held):
     """Rows in the one global order: of all laws what ParaView shows, x, id, v and the material."""
     geometry, scene, kernels = simulation.geometry, simulation.scene, simulation.kernels
     materials = np.array([simulation.material_names.index(body.material) for body in scene.bodies], np.int32)
-    populations, rows, velocity = held.populations, simulation.rows(), simulation.layouts[0].where("v")
+    populations, rows, velocity = held.populations, held.rows, simulation.layouts[0].where("v")
     order = None if len(populations) == 1 else readout.order_of(populations)
 
     def joined(columns, dtype, groups_of):
@@ -218,7 +225,11 @@ class Continuation:
 
     def fill(self, simulation):
         """Give every rank the particles of its layers, in their order, and the simulation its numbers. Collective."""
-        record = self.record
+        record, end = self.record, simulation.scene.time.end
+        if record.time > end:
+            raise SceneError(
+                f"{self.file.path}: time.end = {end} s lies before the checkpoint, t = {record.time:.6g} s"
+            )
         first, last = simulation.first_layer, simulation.last_layer
         ids, velocities = self.common(simulation)
         laws = []

@@ -47,23 +47,24 @@ def run_scene(
         if origin is None:
             simulation = Simulation(scene, comm, tell=progress.stage)
         else:
-            simulation = restart.simulation(origin, scene, comm, tell=progress.stage)
+            simulation = Simulation.go_on(origin, scene, comm, tell=progress.stage)
         directory = open_folder(folder, simulation, origin, overwrite)
         progress.directory = directory
-        status, report = "failed", {}
+        status, report, outputs = "failed", {}, None
         try:
             outputs = Outputs(simulation, directory, progress, requests, origin)
             outputs.run(until, steps)
             status, report = end_status(simulation), simulation.report()
         except NumericalFailure as failure:
-            text = f"{failure}{outputs.keep_failed(failure)}"
+            text = f"{failure}{outputs.keep_failed(failure) if outputs else ''}"
             directory.log(text)
             report = {"failure": text} | simulation.report()
             raise NumericalFailure(text) from failure
         except OutputError as error:
-            directory.log(str(error))
-            report = {"failure": str(error)}
-            raise OutputFailure(str(error)) from error
+            text = f"{error}; {outputs.newest_text()}" if outputs else str(error)
+            directory.log(text)
+            report = {"failure": text}
+            raise OutputFailure(text) from error
         finally:
             directory.finish(status, report)
     return simulation
@@ -157,6 +158,8 @@ class Outputs:
                 self.checkpoints.write(self.simulation, self.copy)
         except OutputError as error:
             told.append(str(error))
+        return "; " + "; ".join([*told, self.newest_text()])
+
+    def newest_text(self):
         newest = self.checkpoints.newest or (self.origin and self.origin.path)
-        told.append(f"the newest good checkpoint is {newest}" if newest else "there is no checkpoint")
-        return "; " + "; ".join(told)
+        return f"the newest good checkpoint is {newest}" if newest else "there is no checkpoint"

@@ -15,7 +15,7 @@ import time as clock
 
 import numpy as np
 
-from pmpm import failure, populate, readout, restore
+from pmpm import failure, populate, readout, restart, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
@@ -95,10 +95,15 @@ class Simulation:
         `scene`: as it was, with changes that a run may take (see docs/reliability.md), or None to take the checkpoint's own; a
         scene with Python functions must be given. Raises SceneError or OutputError.
         """
-        from pmpm import restart
-
         comm = communication.adopt(comm)
-        return restart.simulation(restart.find(path, comm), scene, comm)
+        return cls.go_on(restart.find(path, comm), scene, comm)
+
+    @classmethod
+    def go_on(cls, origin, scene=None, comm=None, tell=None):
+        """`restart` from a restart.Origin, which has been found before."""
+        scene = scene or restart.scene_of(origin, {})
+        with restart.opened(origin, scene) as continuation:
+            return cls(scene, comm, tell, continuation)
 
     # ---- set-up ----
 

@@ -14,7 +14,7 @@ import bits
 import launch
 import several_laws
 
-from pmpm.output import checkpoints
+from pmpm.output import manifests
 from pmpm.output.run_directory import read_status
 
 DRIVER = Path(__file__).parent / "drivers" / "kill_one_rank.py"
@@ -75,7 +75,7 @@ def undisturbed(folder):
     done = launch.python(command(), RANKS, LIMIT, folder)
     assert done.status == 0, done.text
     writes = [int((folder / f"writes.{rank}").read_text()) for rank in range(RANKS)]
-    written = max(checkpoints.numbers(folder / "run" / "checkpoints")) + 1
+    written = max(manifests.numbers(folder / "run" / "checkpoints")) + 1
     counts = {"step": bits.report(folder / "run")["steps"], "rename": written, "write": min(writes)}
     counts["line"] = text_of(folder / "run" / "diagnostics.csv").count("\n")
     return Whole(folder / "run", counts)
@@ -97,7 +97,7 @@ def attempt(kill, whole, folder):
         done = launch.python(command(kill.rank, kill.moment, number, kill.share), RANKS, LIMIT, folder)
     assert done.status not in (0, None), f"{kill}: status {done.status}, it should have died\n{done.text}"
     wait_until_gone(folder / "run")
-    left = checkpoints.numbers(folder / "run" / "checkpoints")
+    left = manifests.numbers(folder / "run" / "checkpoints")
     again = ["-m", "pmpm", *command()[6:], "--restart", "run"]
     done = launch.python(again, kill.again_on, LIMIT, folder)
     assert done.status == 0, f"{kill}: restart ended with {done.status}\n{done.text}"

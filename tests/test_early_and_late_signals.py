@@ -6,7 +6,7 @@ import launch
 import pytest
 import several_laws
 
-from pmpm.output import checkpoints
+from pmpm.output import manifests
 
 # Runs the command line and sends itself a signal while the scene is being read, or when Python ends.
 EARLY = """\
@@ -39,7 +39,7 @@ def run(program, number, folder):
 def test_a_signal_that_comes_before_the_first_step_stops_the_run_with_a_checkpoint(number, tmp_path):
     done = run(EARLY, number, tmp_path)
     assert done.status == 3, done.text
-    assert len(checkpoints.numbers(tmp_path / "run" / "checkpoints")) == 1
+    assert len(manifests.numbers(tmp_path / "run" / "checkpoints")) == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])

@@ -13,7 +13,7 @@ import pytest
 import several_laws
 
 from pmpm.explain import explain
-from pmpm.output import checkpoints
+from pmpm.output import manifests
 from pmpm.output.reader import Snapshot, describe, load
 from pmpm.parallel.comm import Alone
 from pmpm.run import run_scene
@@ -64,7 +64,7 @@ def continued(folder, ranks=3):
 @pytest.mark.parametrize("damage", ["cut short", "a flipped bit", "no manifest", "another version", "gone"])
 def test_a_restart_falls_back_to_the_last_good_checkpoint(damage, folder, whole):
     place = stopped_on_the_way(folder)
-    newest = place / f"{checkpoints.numbers(place)[0]:06d}.hdf"
+    newest = place / f"{manifests.numbers(place)[0]:06d}.hdf"
     harm(newest, damage)
     before = contents(place)
     done = launch.python([*RUN, "--restart", "run", "--steps", "1"], 2, LIMIT, folder)
@@ -107,7 +107,7 @@ def test_without_any_good_checkpoint_a_restart_says_so_and_touches_nothing(folde
 
 def test_an_older_checkpoint_is_taken_only_if_what_came_later_may_go(folder, whole):
     place = stopped_on_the_way(folder)
-    older = place / f"{checkpoints.numbers(place)[-1]:06d}.hdf"
+    older = place / f"{manifests.numbers(place)[-1]:06d}.hdf"
     done = launch.python([*RUN, "--restart", older], 2, LIMIT, folder)
     assert done.status == 2
     assert "holds newer checkpoints than" in done.text
@@ -115,10 +115,21 @@ def test_an_older_checkpoint_is_taken_only_if_what_came_later_may_go(folder, who
     assert bits.differences(whole, folder / "run") == []
 
 
+def test_snapshots_from_after_the_checkpoint_do_not_stay(folder):
+    place = stopped_on_the_way(folder, "0.033")
+    older = place / f"{manifests.numbers(place)[-1]:06d}.hdf"
+    settings = ["--overwrite", "--set", "output.snapshot_interval=0.04", "--until", "0.03"]
+    assert launch.python([*RUN, "--restart", older, *settings], 2, LIMIT, folder).status == 0
+    times = [snapshot.time for snapshot in load(folder / "run").snapshots]
+    assert times == sorted(times)
+    assert max(times) < 0.031
+    assert (folder / "run" / "snapshots.xdmf").read_text().count("<Time") == len(times)
+
+
 def test_a_branch_goes_into_a_folder_of_its_own_and_goes_on_counting(folder, whole):
     place = stopped_on_the_way(folder)
     before = contents(place) | contents(folder / "run" / "snapshots")
-    newest = place / f"{checkpoints.numbers(place)[0]:06d}.hdf"
+    newest = place / f"{manifests.numbers(place)[0]:06d}.hdf"
     done = launch.python(["-m", "pmpm", "run", "--restart", newest, "--out", "branch", "--quiet"], 2, LIMIT, folder)
     assert done.status == 0, done.text
     assert contents(place) | contents(folder / "run" / "snapshots") == before
@@ -158,7 +169,7 @@ def test_a_file_that_may_not_grow_ends_the_run_with_a_message_and_older_files_in
     assert "File too large" in done.text or IS_MPIO  # whose complaint tells no reason
     assert "Traceback" not in done.text
     assert {name: data for name, data in contents(place).items() if name in before} == before
-    assert checkpoints.newest_good(place, Alone())[0] is not None
+    assert manifests.newest_good(place, Alone())[0] is not None
     assert not list((folder / "run").rglob("*.unfinished")) or IS_MPIO
     assert continued(folder).status == 0
     assert bits.differences(whole, folder / "run") == []
@@ -182,9 +193,10 @@ def test_a_full_disk_ends_the_run_with_a_message_and_the_last_checkpoint_goes_on
     done = launch.python(RUN, 2, LIMIT, small_disk)
     assert done.status == 1, done.text
     assert "No space left on device" in done.text
+    assert "the newest good checkpoint is" in done.text or IS_MPIO
     assert "Traceback" not in done.text
     shutil.copytree(small_disk / "run", folder / "run")
-    assert checkpoints.numbers(folder / "run" / "checkpoints")
+    assert manifests.numbers(folder / "run" / "checkpoints")
     assert continued(folder).status == 0
     assert bits.differences(whole, folder / "run") == []
 
@@ -252,7 +264,8 @@ def test_the_state_of_a_failed_run_is_a_snapshot_marked_bad(tmp_path):
     assert f"its state is in {run / 'failed.hdf'}" in message
     assert "there is no checkpoint" in message
     assert "left the domain" in Snapshot(run / "failed.hdf").attributes["failure"]
-    assert "failed" in describe(run / "failed.hdf")
+    assert "failed        step" in describe(run / "failed.hdf")
+    assert f"failed state  {run / 'failed.hdf'}" in describe(run)
     assert "failed.hdf" not in (run / "snapshots.xdmf").read_text()
 
 
@@ -268,15 +281,16 @@ def test_a_failed_state_is_no_checkpoint(tmp_path):
 def test_the_newest_good_checkpoint_is_named(tmp_path):
     scene = falling(output={"checkpoint_interval": 0.02})
     message, run = failed(scene, tmp_path)
-    newest = run / "checkpoints" / f"{checkpoints.numbers(run / 'checkpoints')[0]:06d}.hdf"
+    newest = run / "checkpoints" / f"{manifests.numbers(run / 'checkpoints')[0]:06d}.hdf"
     assert f"the newest good checkpoint is {newest}" in message
+    assert f", the newest at step {manifests.read_manifest(newest)['step']}" in describe(run)
     assert Simulation.restart(newest).step_count > 0
 
 
 @pytest.mark.parametrize("interval", [7, 50])
 def test_a_copy_in_memory_becomes_a_checkpoint_at_most_so_many_steps_back(interval, tmp_path):
     message, run = failed(falling(guard={"keep_copy": True, "interval": interval}), tmp_path)
-    (number,) = checkpoints.numbers(run / "checkpoints")
+    (number,) = manifests.numbers(run / "checkpoints")
     back = int(message.split("step ")[1].split(",")[0]) - Simulation.restart(run).step_count
     assert 0 < back <= interval
     resumed = Simulation.restart(run)

@@ -116,6 +116,20 @@ def test_what_drives_from_outside_goes_on_where_it_was(tmp_path):
     assert bits_of(resumed) == bits_of(through)
 
 
+def test_lanes_that_hold_no_particle_have_no_part_in_the_next_regroup(tmp_path):
+    """What fills up a block lies where its last particle was at the regroup, after a restart where it was at the checkpoint."""
+    through = Simulation(several_laws.flat())
+    while not (through.control.drift > 0.9 and through.control.regroup_step < through.step_count - 3):
+        through.step()
+    through.save(tmp_path / "a.hdf")
+    resumed = Simulation.restart(tmp_path / "a.hdf")
+    for simulation in (through, resumed):
+        simulation.particles.v = -simulation.particles.v
+        simulation.run(steps=12)
+    assert resumed.control.drift < 0.9
+    assert bits_of(resumed) == bits_of(through)
+
+
 def test_saving_changes_nothing(tmp_path):
     saved, plain = Simulation(several_laws.flat()), Simulation(several_laws.flat())
     for _ in range(20):

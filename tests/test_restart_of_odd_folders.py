@@ -14,7 +14,7 @@ import pytest
 import several_laws
 
 from pmpm import cli, restart
-from pmpm.output import checkpoints
+from pmpm.output import manifests
 from pmpm.output.files import OutputError
 from pmpm.output.reader import load
 from pmpm.parallel.comm import Alone
@@ -94,7 +94,7 @@ def test_a_checkpoint_that_is_not_there_is_no_folder_for_a_new_run(folder, capsy
 
 
 def test_a_manifest_is_not_called_a_damaged_checkpoint(folder, capsys):
-    (number, *_) = checkpoints.numbers("run/checkpoints")
+    (number, *_) = manifests.numbers("run/checkpoints")
     assert run("--restart", f"run/checkpoints/{number:06d}.json") == 2
     assert "the name of one ends in .hdf; the newest good checkpoint beside it is" in capsys.readouterr().err
 
@@ -106,7 +106,7 @@ def test_checkpoints_copied_beside_other_files_harm_none_of_them(folder, capsys)
     (place / "snapshots" / "000123.hdf").write_text("mine")
     (place / "diagnostics.csv").write_text("mine")
     before = contents(place)
-    (number, *_) = checkpoints.numbers(place / "checkpoints")
+    (number, *_) = manifests.numbers(place / "checkpoints")
     assert run("--restart", "mine") == 2
     assert run("--restart", f"mine/checkpoints/{number:06d}.hdf") == 2
     assert "give an output folder" in capsys.readouterr().err

@@ -13,10 +13,11 @@ import pytest
 import several_laws
 
 from pmpm import requests
-from pmpm.output import checkpoints
+from pmpm.output import manifests
 from pmpm.output.reader import load
 from pmpm.parallel.comm import Alone
 from pmpm.scene.errors import SceneError
+from pmpm.scene.schema import Scene
 from pmpm.watching import CHECKPOINT, OUT_OF_TIME, SIGNALLED
 
 DRIVER = Path(__file__).parent / "drivers" / "signal_one_rank.py"
@@ -24,7 +25,9 @@ LIMIT = 120
 
 
 def scene():
-    return several_laws.flat(end=0.05)
+    """With lines of diagnostics that do not come in every step: else a last one would not be too many."""
+    told = several_laws.flat(end=0.05).model_dump(exclude_none=True)
+    return Scene(**(told | {"output": told["output"] | {"diagnostics_interval": 0.004}}))
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +57,7 @@ def test_a_signal_to_any_rank_stops_all_with_a_checkpoint_and_status_3(number, r
     assert f"pmpm: stopped on request ({number.name}) after step 4" in done.text
     assert done.text.count("pmpm:") == 1, done.text
     assert load(tmp_path / "run").status == f"stopped on request: {number.name}"
-    assert len(checkpoints.numbers(tmp_path / "run" / "checkpoints")) == 1
+    assert len(manifests.numbers(tmp_path / "run" / "checkpoints")) == 1
     assert bits.differences(whole, continued(tmp_path, 2)) == []
 
 
@@ -66,8 +69,8 @@ def test_one_process_stops_likewise(whole, tmp_path):
 def test_sigusr2_writes_a_checkpoint_and_the_run_goes_on(whole, tmp_path):
     done = stopped(tmp_path, signal.SIGUSR2, 1, 2)
     assert done.status == 0, done.text
-    (number,) = checkpoints.numbers(tmp_path / "run" / "checkpoints")
-    assert 40 < checkpoints.read_manifest(tmp_path / "run" / "checkpoints" / f"{number:06d}.hdf")["step"] < 45
+    (number,) = manifests.numbers(tmp_path / "run" / "checkpoints")
+    assert 40 < manifests.read_manifest(tmp_path / "run" / "checkpoints" / f"{number:06d}.hdf")["step"] < 45
     assert bits.differences(whole, tmp_path / "run") == []
 
 
@@ -106,7 +109,7 @@ def test_a_run_out_of_wall_time_stops_before_it_is_over(ranks, tmp_path):
     done = launch.python(arguments, ranks, LIMIT, tmp_path)
     assert done.status == 3, done.text
     assert "stopped on request (out of wall time)" in done.text
-    assert len(checkpoints.numbers(tmp_path / "run" / "checkpoints")) == 1
+    assert len(manifests.numbers(tmp_path / "run" / "checkpoints")) == 1
 
 
 def test_the_same_command_begins_continues_and_at_last_has_nothing_to_do(whole, tmp_path):

@@ -13,9 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
+from pmpm.output import manifests
 from pmpm.output.files import OutputError
-from pmpm.output.run_directory import DIAGNOSTICS, RECORD, SCENE, read_record, read_status, snapshot_files
-from pmpm.output.snapshots import FORMAT_VERSION
+from pmpm.output.layout import FORMAT_VERSION
+from pmpm.output.run_directory import (
+    CHECKPOINTS,
+    DIAGNOSTICS,
+    FAILED,
+    RECORD,
+    SCENE,
+    read_record,
+    read_status,
+    snapshot_files,
+)
 
 WHOLE_NUMBERS = ("step", "particles")
 ATTRIBUTES = {"time": float, "step": int, "dt": float, "title": str, "dim": int, "precision": str, "materials": list}
@@ -297,11 +307,29 @@ def describe_run(run):
         first, last = snapshots[0], snapshots[-1]
         lines[-1] += f", t = {first.time:.6g} to {last.time:.6g} s; open {run.path / 'snapshots.xdmf'} in ParaView"
         lines += ["last snapshot", *("  " + line for line in describe_snapshot(last).splitlines())]
+    lines += checkpoint_lines(run.path)
     if diagnostics:
         times = diagnostics.get("time", np.empty(0))
         span = f", t = {times[0]:.6g} to {times[-1]:.6g} s" if len(times) else ""
         lines += [f"diagnostics   {len(times)} lines{span}", "  " + ", ".join(diagnostics)]
     return "\n".join(lines)
+
+
+def checkpoint_lines(place):
+    """What there is to go on from, as the manifests say: whether the files are as good is seen when one is used."""
+    folder = place / CHECKPOINTS
+    held = manifests.numbers(folder)
+    lines = [f"checkpoints   {len(held)}"]
+    if held:
+        try:
+            newest = manifests.read_manifest(folder / f"{held[0]:06d}.hdf")
+            lines[-1] += f", the newest at step {newest['step']}, t = {newest['time']:.6g} s"
+        except OutputError as error:
+            lines[-1] += f"; {error}"
+        lines[-1] += f"; pmpm run --restart {place} goes on"
+    if (place / FAILED).exists():
+        lines.append(f"failed state  {place / FAILED}")
+    return lines
 
 
 def table_in(record, name):
@@ -325,6 +353,7 @@ def describe_snapshot(snapshot):
         f"time          {told['time']:.6g} s, step {told['step']}, dt {told['dt']:.3g} s",
         f"particles     {count} in {told['dim']}-D, {told['precision']}",
         f"materials     {', '.join(f'{index} {name}' for index, name in enumerate(told['materials']))}",
+        *([f"failed        {told['failure']}"] if "failure" in told else []),
         "fields",
         *fields,
         *states,

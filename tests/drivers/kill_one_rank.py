@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from pmpm import cli
-from pmpm.output import checkpoints, snapshots
+from pmpm.output import checkpoints, datasets
 from pmpm.parallel import comm as communication
 from pmpm.simulation import Simulation
 
@@ -41,7 +41,7 @@ def prepare(moment, number, share):
     if moment == "step":
         Simulation.advance = before_call(number, lambda *_: die(), Simulation.advance)
     elif moment == "write":
-        snapshots.write_bytes = before_call(number, write_a_part, snapshots.write_bytes)
+        datasets.write_bytes = before_call(number, write_a_part, datasets.write_bytes)
     elif moment == "rename":
         checkpoints.write_manifest = before_call(number, lambda *_: die(), checkpoints.write_manifest)
 
@@ -53,7 +53,7 @@ if __name__ == "__main__":
     if rank == victim:
         prepare(moment, number, share)
     writes: list[object] = []
-    snapshots.write_bytes = before_call(None, lambda *_: writes.append(None), snapshots.write_bytes)
+    datasets.write_bytes = before_call(None, lambda *_: writes.append(None), datasets.write_bytes)
     status = cli.main(sys.argv[6:])
     Path(f"writes.{rank}").write_text(str(len(writes)))
     sys.exit(status)

@@ -6,7 +6,7 @@ import several_laws
 from mpi4py import MPI
 from test_drive_mpi import scene as driven
 
-from pmpm.output import checkpoints
+from pmpm.output import checkpoints, manifests
 from pmpm.output.files import OutputError
 from pmpm.parallel.comm import World
 from pmpm.simulation import Simulation
@@ -67,6 +67,19 @@ def test_a_checkpoint_of_one_process_goes_on_with_its_bits_on_several_ranks(name
     assert run_on(COMM, path, scene) == bits(alone)
 
 
+def test_a_copy_is_of_the_particles_that_each_rank_had_then(path):
+    scene = several_laws.flat()
+    alone, together = Simulation(scene), Simulation(scene, COMM)
+    alone.run(steps=BEFORE + AFTER)
+    together.run(steps=BEFORE)
+    copy, before = together.state().copy(), together.rows()
+    together.run(steps=100)
+    assert any(COMM.gather(together.rows() != before))
+    pieces, attributes = together.datasets(copy)
+    checkpoints.write_checkpoint(COMM, path, pieces, attributes, "pwrite")
+    assert run_on(COMM, path, scene) == bits(alone)
+
+
 def test_cuts_in_other_places_write_a_checkpoint_with_the_same_bits(path):
     simulation = Simulation(several_laws.flat(), COMM)
     simulation.run(steps=BEFORE)
@@ -81,7 +94,7 @@ def test_cuts_in_other_places_write_a_checkpoint_with_the_same_bits(path):
 def test_each_byte_of_a_rank_is_under_a_checksum_of_that_rank(path):
     simulation = Simulation(several_laws.flat(), COMM)
     simulation.save(path)
-    held = checkpoints.read_manifest(path)
+    held = manifests.read_manifest(path)
     assert len(held["datasets"]["VTKHDF/Points"]) == COMM.size
     assert (
         sum(nbytes for _, nbytes, _ in held["datasets"]["VTKHDF/Points"])

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from fake_simulation import FakeSimulation, fake_scene
 
+from pmpm.output.datasets import default_parallel
 from pmpm.output.diagnostics import Diagnostics
 from pmpm.output.files import OutputError
 from pmpm.output.run_directory import RunDirectory
-from pmpm.output.snapshots import SnapshotWriter, default_parallel
+from pmpm.output.snapshots import SnapshotWriter
 from pmpm.parallel.comm import Alone, World
 
 pytestmark = pytest.mark.mpi(min_size=2)

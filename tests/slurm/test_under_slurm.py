@@ -9,7 +9,7 @@ import one_node
 import pytest
 import several_laws
 
-from pmpm.output import checkpoints
+from pmpm.output import manifests
 from pmpm.scene.schema import Scene
 
 RANKS = 2
@@ -115,7 +115,7 @@ def test_a_cancelled_long_run_leaves_a_checkpoint_and_status_3_and_stays_ended(l
     jobs.slurm.call("scancel", number)
     ended = jobs.slurm.ended(number, SOON)
     assert (ended.state, ended.status, ended.restarts) == ("CANCELLED", 3, 0), jobs.log()
-    assert checkpoints.numbers(out / "checkpoints") != [], jobs.log()
+    assert manifests.numbers(out / "checkpoints") != [], jobs.log()
 
 
 @pytest.mark.parametrize("script", ["strong_scaling.sh", "weak_scaling.sh"])

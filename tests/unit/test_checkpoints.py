@@ -10,9 +10,10 @@ import pytest
 import several_laws
 from xxhash import xxh3_64
 
-from pmpm.output import checkpoints
-from pmpm.output.checkpoints import CheckpointWriter, complaint_about, newest_good, read_manifest, write_manifest
+from pmpm.output import checkpoints, manifests
+from pmpm.output.checkpoints import CheckpointWriter
 from pmpm.output.files import OutputError
+from pmpm.output.manifests import complaint_about, newest_good, read_manifest, write_manifest
 from pmpm.output.reader import Snapshot, describe
 from pmpm.output.run_directory import RunDirectory
 from pmpm.parallel.comm import Alone
@@ -217,7 +218,7 @@ def sign(path, changes):
     manifest = path.with_suffix(".json")
     held = json.loads(manifest.read_text()) | changes
     held.pop("manifest")
-    manifest.write_text(json.dumps(held | {"manifest": xxh3_64(checkpoints.canonical(held)).intdigest()}))
+    manifest.write_text(json.dumps(held | {"manifest": xxh3_64(manifests.canonical(held)).intdigest()}))
 
 
 @pytest.mark.parametrize(

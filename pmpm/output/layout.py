@@ -1,0 +1,60 @@
+"""What makes an HDF5 file a snapshot: what VTK needs to draw particles, attributes, units."""
+
+import numpy as np
+
+FORMAT_VERSION = 1
+VTK_VERTEX = 1
+UNITS = {
+    "Points": "m",
+    "velocity": "m/s",
+    "speed": "m/s",
+    "pressure": "Pa",
+    "stress": "Pa",
+    "deformation_gradient": "-",
+    "J": "-",
+    "density": "kg/m3",
+}
+
+
+def three_columns(vectors):
+    """(n, 3) from (n, dim): in 2-D the third component is zero, for VTK knows only space."""
+    vectors = np.asarray(vectors)
+    wide = np.zeros((len(vectors), 3), vectors.dtype)
+    wide[:, : vectors.shape[1]] = vectors
+    return wide
+
+
+def topology(comm, first, rows, count):
+    """This rank's rows of what VTK needs to draw `count` particles as one vertex each, all in one partition.
+
+    One partition, whatever the number of ranks: with several, Connectivity would count anew in each, and mean another
+    thing to XDMF than to VTKHDF.
+    """
+    here = np.arange(first, first + rows, dtype=np.int64)
+    is_last = comm.rank == comm.size - 1
+    total = np.full(1 if comm.rank == 0 else 0, count, np.int64)
+    return {
+        "VTKHDF/NumberOfPoints": total,
+        "VTKHDF/NumberOfCells": total,
+        "VTKHDF/NumberOfConnectivityIds": total,
+        "VTKHDF/Connectivity": here,
+        "VTKHDF/Offsets": np.append(here, count) if is_last else here,
+        "VTKHDF/Types": np.full(rows, VTK_VERTEX, np.uint8),
+    }
+
+
+def snapshot_attributes(scene, time, step, dt):
+    """Attributes of the file's two groups. Text has a fixed length: VTK wants that of Type, and parallel HDF5."""
+    return {
+        "VTKHDF": {"Version": np.array([1, 0], np.int64), "Type": np.bytes_("UnstructuredGrid")},
+        "pmpm": {
+            "format_version": np.int64(FORMAT_VERSION),
+            "time": np.float64(time),
+            "step": np.int64(step),
+            "dt": np.float64(dt),
+            "title": scene.title or "",
+            "dim": np.int64(scene.dim),
+            "precision": scene.method.precision,
+            "materials": list(scene.materials),
+        },
+    }
