@@ -72,7 +72,7 @@ def command(options, comm):
 
 
 def say(text, rank):
-    """Print what a command has found. A reader that has seen enough, such as head, is no error; a full disk raises OutputError."""
+    """Print what a command has found. A reader that has seen enough, such as head, is no error; a full disk is one."""
     from pmpm.output.files import OutputError, explain
 
     if rank != 0:
