@@ -32,8 +32,9 @@ def scene():
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    bits.run(scene(), tmp_path_factory.mktemp("whole") / "run", 2)
-    return tmp_path_factory.getbasetemp() / "whole0" / "run"
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    bits.run(scene(), folder, 2)
+    return folder
 
 
 def stopped(folder, number, rank, ranks, step=40, options=()):
