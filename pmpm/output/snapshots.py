@@ -40,6 +40,8 @@ class SnapshotWriter:
             self.entries, damaged = on_rank_zero(self.comm, lambda: entries_on_disk(directory.path, self.names))
             for complaint in damaged:
                 directory.log(f"warning: {complaint}: left out of {INDEX}")
+            if self.entries:  # the index on the disk may list what has been cut off
+                self.write_index()
         hosts = set(self.comm.gather(socket.gethostname()))
         if self.parallel == "pwrite" and len(hosts) > 1:
             directory.log(
@@ -58,6 +60,9 @@ class SnapshotWriter:
         shapes, _ = write_datasets(self.comm, path, pieces, attributes, self.parallel)
         self.entries.append(index_entry(path, simulation.time, shapes))
         self.count += 1
+        self.write_index()
+
+    def write_index(self):
         text = index_text(self.scene.title, self.entries)
         on_rank_zero(self.comm, lambda: write_atomically(self.directory.path / INDEX, text))
 
