@@ -137,8 +137,7 @@ def seconds_of(text):
     match = re.fullmatch(r"(?:(\d{1,4})-)?(\d{1,5}):(\d{2})(?::(\d{2}))?", text)
     if not match or int(match[3]) > 59 or int(match[4] or 0) > 59:
         raise SceneError(f"--walltime {text}: must be {FORMS}, or none")
-    days, hours, minutes, seconds = (int(part or 0) for part in match.groups())
-    total = ((days * 24 + hours) * 60 + minutes) * 60 + seconds
+    total = in_seconds(*match.groups())
     if total == 0:
         raise SceneError(f"--walltime {text}: must be longer than nothing")
     return total
@@ -166,7 +165,9 @@ def slurm_end():
 def left_of_slurm(text, now):
     """The end of a job that squeue says has `text` left: [D-][HH:]MM:SS."""
     match = re.fullmatch(r"(?:(\d+)-)?(?:(\d+):)?(\d+):(\d+)", text)
-    if not match:
-        return None
-    days, hours, minutes, seconds = (int(part or 0) for part in match.groups())
-    return now + ((days * 24 + hours) * 60 + minutes) * 60 + seconds
+    return now + in_seconds(*match.groups()) if match else None
+
+
+def in_seconds(days, hours, minutes, seconds):
+    """Seconds of the parts of a time as texts, None for nothing."""
+    return ((int(days or 0) * 24 + int(hours or 0)) * 60 + int(minutes or 0)) * 60 + int(seconds or 0)

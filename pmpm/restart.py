@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pmpm.output import manifests, run_directory
 from pmpm.output.checkpoints import CheckpointFile
-from pmpm.output.files import OutputError, on_rank_zero
+from pmpm.output.files import OutputError, on_every_rank, on_rank_zero
 from pmpm.output.run_directory import CHECKPOINTS, read_record, read_status
 from pmpm.restore import SCENE, Continuation
 from pmpm.scene import files
@@ -224,11 +224,11 @@ def leaves(value, path=()):
 
 
 @contextlib.contextmanager
-def opened(origin, scene):
-    """What fills a simulation of this scene from a checkpoint. Raises SceneError for changes that a run cannot take."""
+def opened(origin, scene, comm):
+    """What fills a simulation of this scene from a checkpoint. Collective. SceneError for changes that a run cannot take."""
     drives = any(re.fullmatch(DRIVING, key) for key in changes(origin, scene))
-    file = CheckpointFile(origin.path)
+    continuation = on_every_rank(comm, lambda: Continuation(CheckpointFile(origin.path), drives))
     try:
-        yield Continuation(file, drives)
+        yield continuation
     finally:
-        file.close()
+        continuation.file.close()

@@ -16,7 +16,7 @@ from pmpm.kernels.loops import FARTHEST, OVERFLOW
 from pmpm.kernels.needs import labels
 from pmpm.kernels.places import FORMATS
 from pmpm.output.datasets import Later
-from pmpm.output.files import OutputError
+from pmpm.output.files import OutputError, on_every_rank
 from pmpm.output.layout import snapshot_attributes, topology
 from pmpm.scene.errors import SceneError
 from pmpm.state.particles import Ordered, Population
@@ -115,12 +115,9 @@ def state(simulation, outputs=None):
 def datasets(simulation, held):
     """({dataset: this rank's rows}, {group: attributes}) of a checkpoint that holds a State. Collective."""
     first, count = simulation.comm.offsets(held.rows)
-    kernels, laws = (
-        simulation.kernels,
-        zip(labels(simulation.needs.laws), held.populations, simulation.layouts, strict=True),
-    )
+    names, kernels = labels(simulation.needs.laws), simulation.kernels
     found = topology(simulation.comm, first, held.rows, count) | common_rows(simulation, held)
-    for label, population, layout in laws:
+    for label, population, layout in zip(names, held.populations, simulation.layouts, strict=True):
         for field in layout.fields:
             if field.name not in STORED_ELSEWHERE:
                 found[f"pmpm/{label}/{field.name}"] = field_rows(population, kernels, layout.where(field.name))
@@ -194,20 +191,28 @@ class Continuation:
             raise OutputError(f"{file.path} is damaged: {RECORD}: {error.errors()[0]['msg']}") from error
 
     def count_per_layer(self, simulation):
-        """(layers,) particles per layer over all ranks; reads where the particles of each law lie. SceneError for too many."""
+        """(layers,) particles per layer over all ranks; reads where the particles of each law lie. Collective. SceneError for
+        too many."""
         estimate.refuse_memory(simulation.scene, simulation.needs, simulation.geometry, simulation.comm)
-        self.tables = [self.segments(simulation, number) for number in range(len(simulation.needs.laws))]
-        counts = np.zeros(simulation.geometry.layers, np.int64)
-        for table in self.tables:
-            np.add.at(counts, table[:, 0], table[:, 1])
+        on_every_rank(simulation.comm, lambda: self.read_tables(simulation))
+        return self.counts.sum(axis=1)
+
+    def read_tables(self, simulation):
+        """Read the segments of each law, and count its particles in each layer."""
+        self.labels = labels(simulation.needs.laws)
+        self.tables = [self.segments(simulation, number) for number in range(len(self.labels))]
+        self.counts = np.zeros((simulation.geometry.layers, len(self.tables)), np.int64)
+        for number, table in enumerate(self.tables):
+            np.add.at(self.counts[:, number], table[:, 0], table[:, 1])
         total = self.file.shape("VTKHDF/PointData/id")[0]
-        if counts.sum() != total:
-            raise OutputError(f"{self.file.path} is damaged: {total} particles, but {counts.sum()} lie in segments")
-        return counts
+        if self.counts.sum() != total:
+            raise OutputError(
+                f"{self.file.path} is damaged: {total} particles, but {self.counts.sum()} lie in segments"
+            )
 
     def segments(self, simulation, number):
         """(m, 5) segments of a law over all ranks, checked."""
-        label = labels(simulation.needs.laws)[number]
+        label = self.labels[number]
         table = self.file.rows(f"{OWN}/{label}/segments").astype(np.int64)
         geometry = simulation.geometry
         of_law = simulation.tables[number][:, 0] > 0.0
@@ -230,14 +235,7 @@ class Continuation:
             raise SceneError(
                 f"{self.file.path}: time.end = {end} s lies before the checkpoint, t = {record.time:.6g} s"
             )
-        first, last = simulation.first_layer, simulation.last_layer
-        ids, velocities = self.common(simulation)
-        laws = []
-        for number in range(len(self.tables)):
-            ordered = self.ordered(simulation, number, ids[number], velocities[number])
-            pads, dim = simulation.pad_values(simulation.layouts[number]), simulation.dim
-            laws.append(Population.of_ordered(ordered, first, last - first, pads, dim))
-        simulation.populations = laws
+        simulation.populations = on_every_rank(simulation.comm, lambda: self.populations(simulation))
         simulation.held = simulation.rows()
         simulation.time, simulation.step_count, simulation.dt = record.time, record.step_count, record.dt
         simulation.first_energy, simulation.regroups = record.first_energy, record.regroups
@@ -248,6 +246,17 @@ class Continuation:
             simulation.regroup()  # what has been rounded may lie on the other side of a layer's end
         if self.changed or self.file.precision != simulation.scene.method.precision:
             simulation.changed_by_hand()
+
+    def populations(self, simulation):
+        """This rank's particles of each law."""
+        first, last = simulation.first_layer, simulation.last_layer
+        ids, velocities = self.common(simulation)
+        found = []
+        for number, layout in enumerate(simulation.layouts):
+            ordered = self.ordered(simulation, number, ids[number], velocities[number])
+            pads = simulation.pad_values(layout)
+            found.append(Population.of_ordered(ordered, first, last - first, pads, simulation.dim))
+        return found
 
     def move_regions(self, simulation):
         regions, travelled = simulation.drive.regions, self.record.travelled
@@ -260,12 +269,9 @@ class Continuation:
 
     def common(self, simulation):
         """([ids of each law], [velocities (n, dim) of each law]) of this rank's particles."""
-        layers = simulation.geometry.layers
-        counts = np.zeros((layers, len(self.tables)), np.int64)
-        for number, table in enumerate(self.tables):
-            np.add.at(counts[:, number], table[:, 0], table[:, 1])
-        begin, end = (int(counts[:layer].sum()) for layer in (simulation.first_layer, simulation.last_layer))
-        mine = counts[simulation.first_layer : simulation.last_layer]
+        first, last = simulation.first_layer, simulation.last_layer
+        begin, end = (int(self.counts[:layer].sum()) for layer in (first, last))
+        mine = self.counts[first:last]
         law = np.repeat(np.tile(np.arange(mine.shape[1]), len(mine)), mine.reshape(-1))
         ids = self.file.rows("VTKHDF/PointData/id", begin, end, (), np.int64)
         v = self.file.rows("VTKHDF/PointData/velocity", begin, end, (3,), np.floating)[:, : simulation.dim]
@@ -274,7 +280,7 @@ class Continuation:
     def ordered(self, simulation, number, ids, velocities):
         """This rank's rows of a law."""
         file, real, layout = self.file, simulation.real, simulation.layouts[number]
-        label, table = labels(simulation.needs.laws)[number], self.tables[number]
+        label, table = self.labels[number], self.tables[number]
         here = (table[:, 0] >= simulation.first_layer) & (table[:, 0] < simulation.last_layer)
         begin = int(table[table[:, 0] < simulation.first_layer, 1].sum())
         end = begin + int(table[here, 1].sum())
@@ -307,5 +313,6 @@ class Continuation:
         low, high = simulation.limits.T
         inside = (sixty_fourths >= low - 1) & (sixty_fourths <= high) & (np.abs(place) < form.whole(OVERFLOW))
         if not inside.all() or (drift > form.whole(FARTHEST / 64)).any():
-            label = labels(simulation.needs.laws)[number]
-            raise OutputError(f"{self.file.path} is damaged: a particle of {label} is not where its layer is")
+            raise OutputError(
+                f"{self.file.path} is damaged: a particle of {self.labels[number]} is not where its layer is"
+            )

@@ -33,7 +33,7 @@ from pmpm.state.fields import Layout
 from pmpm.state.grid import Patch
 from pmpm.state.particles import Loose, Population, assemble
 from pmpm.timestep import FAILED, REQUEST, StepControl
-from pmpm.watching import STOP, Observer, Timers, spread
+from pmpm.watching import STOP, Observer, Timers, next_count, spread
 
 
 class Simulation:
@@ -101,8 +101,8 @@ class Simulation:
     @classmethod
     def go_on(cls, origin, scene=None, comm=None, tell=None):
         """`restart` from a restart.Origin, which has been found before."""
-        scene = scene or restart.scene_of(origin, {})
-        with restart.opened(origin, scene) as continuation:
+        scene, comm = scene or restart.scene_of(origin, {}), communication.adopt(comm)
+        with restart.opened(origin, scene, comm) as continuation:
             return cls(scene, comm, tell, continuation)
 
     # ---- set-up ----
@@ -464,7 +464,7 @@ class Simulation:
             call(self)
         counted_for, count = self.counts.get(name, (None, 0))
         if seconds is not None and counted_for != seconds:
-            count = math.floor(self.time / seconds) + 1
+            count = next_count(self.time, seconds)
         self.observers.append(Observer(call, steps, seconds, count, name))
 
     def ask(self, request):

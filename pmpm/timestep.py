@@ -8,7 +8,7 @@ step waits for it; what a particle may move meanwhile is covered by the padding.
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -31,16 +31,15 @@ class Pending:
     """A reduction on its way: the step that started it, and the travel bound (cells) accumulated until then."""
 
     step: int
-    travel: float
+    travel: float = 0.0
     handle: Any = None
     values: Any = None
 
-
-class Counted(NamedTuple):
-    """What a count of disorder has found, over all ranks."""
-
-    runs: int
-    particles: int
+    def arrived(self, comm):
+        """What has been reduced; waits for it."""
+        if self.values is None:
+            self.values = comm.finish(self.handle)
+        return self.values
 
 
 class Disorder:
@@ -53,7 +52,7 @@ class Disorder:
 
     def __init__(self, comm):
         self.comm = comm
-        self.pending: tuple[int, Any] | None = None
+        self.pending: Pending | None = None
         self.regrouped(0)
 
     def regrouped(self, step):
@@ -62,29 +61,21 @@ class Disorder:
     def start(self, step, runs, particles):
         """Begin to count what step number `step` found."""
         if (step - self.step) % EVERY == 1 and self.pending is None:
-            self.pending = step, self.comm.start_sum(np.array([runs, particles], np.int64))
+            self.pending = Pending(step, handle=self.comm.start_sum(np.array([runs, particles], np.int64)))
 
     def pays(self, step):
         """Whether a regroup before step number `step` pays."""
-        if self.pending is not None and step > self.pending[0] + LAG:
-            counted = self.pending[0]
-            runs, self.particles = self.counted(*self.pending)
-            self.pending = None
-            if counted > self.step:
+        if self.pending is not None and step > self.pending.step + LAG:
+            counted, self.pending = self.pending, None
+            runs, self.particles = map(int, counted.arrived(self.comm))
+            if counted.step > self.step:
                 self.sorted_runs = runs if self.sorted_runs is None else self.sorted_runs
                 self.excess += EVERY * max(runs - self.sorted_runs, 0)
         return RUN_COST * self.excess > REGROUP_COST * self.particles
 
-    def counted(self, step, handle):
-        """(runs, particles) of the count on its way, started by `step`; waits for it."""
-        if not isinstance(handle, Counted):
-            handle = Counted(*map(int, self.comm.finish(handle)))
-            self.pending = step, handle
-        return handle
-
     def state(self):
         """What the next decisions depend on, as plain numbers. Collective."""
-        pending = None if self.pending is None else [self.pending[0], *self.counted(*self.pending)]
+        pending = self.pending and [self.pending.step, *map(int, self.pending.arrived(self.comm))]
         return {"step": self.step, "sorted_runs": self.sorted_runs, "excess": self.excess, "particles": self.particles,
                 "pending": pending}  # fmt: skip
 
@@ -93,7 +84,7 @@ class Disorder:
         self.step, self.sorted_runs = state["step"], state["sorted_runs"]
         self.excess, self.particles = state["excess"], state["particles"]
         pending = state["pending"]
-        self.pending = None if pending is None else (pending[0], Counted(*pending[1:]))
+        self.pending = pending and Pending(pending[0], values=pending[1:])
 
 
 class StepControl:
@@ -162,7 +153,7 @@ class StepControl:
         if len(self.pending) < LAG:
             return None
         arrived = self.pending.popleft()
-        self.finish(arrived)
+        arrived.arrived(self.comm)
         self.asked = max(self.asked, int(arrived.values[REQUEST]))
         if arrived.step > self.begun and np.isfinite(arrived.values[:DRIFT]).all():
             self.learn(arrived.values)
@@ -173,22 +164,16 @@ class StepControl:
     def known_failure(self):
         """The earliest failed step in anything on its way, or None; waits for it but changes no later decision."""
         for reduction in self.pending:
-            self.finish(reduction)
+            reduction.arrived(self.comm)
         found = [step for step in map(failed_step, self.pending) if step is not None]
         return min(found, default=None)
 
-    def finish(self, reduction):
-        if reduction.values is None:
-            reduction.values = self.comm.finish(reduction.handle)
-
     def state(self):
         """What the next decisions depend on, as plain numbers, requests left out. Collective; nothing may have failed."""
-        for reduction in self.pending:
-            self.finish(reduction)
         numbers = {name: float(getattr(self, name)) for name in NUMBERS} | {
             name: getattr(self, name) for name in COUNTS
         }
-        pending = [[r.step, r.travel, *map(float, r.values[:FAILED])] for r in self.pending]
+        pending = [[r.step, r.travel, *map(float, r.arrived(self.comm)[:FAILED])] for r in self.pending]
         return numbers | {"pending": pending, "disorder": self.disorder.state()}
 
     def resume(self, state):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 # What a simulation may be asked for while it runs, by urgency; above STOP: the number of the signal that asked.
 CHECKPOINT, OUT_OF_TIME, SIGNALLED = 1, 2, 10
 STOP = OUT_OF_TIME
+MOST_COUNT = 2.0**53  # of intervals: quotients of times may be infinite
 
 
 @dataclass
@@ -26,8 +27,13 @@ class Observer:
         assert self.seconds is not None
         if simulation.time < self.count * self.seconds:
             return False
-        self.count = math.floor(simulation.time / self.seconds) + 1
+        self.count = next_count(simulation.time, self.seconds)
         return True
+
+
+def next_count(time, seconds):
+    """The first multiple of an interval that lies after a time; of intervals next to nothing, one that has passed."""
+    return math.floor(min(time / seconds, MOST_COUNT)) + 1
 
 
 @dataclass

@@ -113,9 +113,10 @@ def prune(folder, keep, bad=()):
     """Delete all but the newest `keep` checkpoints, and what was left of unfinished or damaged ones before them."""
     kept = [number for number in numbers(folder) if number not in bad][:keep]
     oldest, newest = kept[-1] if len(kept) == keep else -1, kept[0]
-    for name in sorted(names_in(folder), key=lambda name: not name.endswith(".json")):  # manifests first
+    names = set(names_in(folder))
+    for name in sorted(names, key=lambda name: not name.endswith(".json")):  # manifests first
         match = NUMBERED.fullmatch(name)
-        leftover = match and (match[3] or f"{match[1]}.json" not in names_in(folder)) and int(match[1]) < newest
+        leftover = match and (match[3] or f"{match[1]}.json" not in names) and int(match[1]) < newest
         if match and (int(match[1]) < oldest or leftover):
             (folder / name).unlink(missing_ok=True)
 

@@ -13,18 +13,26 @@ from xxhash import xxh3_64
 from pmpm.output.files import (
     OutputError,
     explain,
-    failure_of,
+    on_every_rank,
     on_rank_zero,
-    raise_together,
     remove_quietly,
     sync_file,
     unfinished_name,
 )
-from pmpm.output.layout import UNITS
 from pmpm.physics.materials import LAWS
 
 AHEAD = 3  # groups of rows that wait to be written while the next is made
 ABORTED = 1  # exit status when ranks must be ended in the middle of a write
+UNITS = {
+    "Points": "m",
+    "velocity": "m/s",
+    "speed": "m/s",
+    "pressure": "Pa",
+    "stress": "Pa",
+    "deformation_gradient": "-",
+    "J": "-",
+    "density": "kg/m3",
+}
 
 
 @dataclass(frozen=True)
@@ -136,7 +144,7 @@ def write_pwrite(comm, path, pieces, shapes, starts, attributes, sums):
         finally:
             os.close(descriptor)
 
-    raise_together(comm, failure_of(write_rows))
+    on_every_rank(comm, write_rows)
 
 
 def write_bytes(descriptor, rows, place):
@@ -156,11 +164,10 @@ def write_mpio(comm, path, pieces, shapes, starts, attributes, sums):
     """
     import h5py
 
-    opened: list = []
-    raise_together(comm, failure_of(lambda: opened.append(h5py.File(path, "w", driver="mpio", comm=comm.communicator))))
+    file = on_every_rank(comm, lambda: h5py.File(path, "w", driver="mpio", comm=comm.communicator))
     try:
-        write_collectively(opened[0], pieces, shapes, starts, attributes, sums)
-        opened[0].close()  # not where writing has failed: closing waits for all ranks
+        write_collectively(file, pieces, shapes, starts, attributes, sums)
+        file.close()  # not where writing has failed: closing waits for all ranks
         if sums is not None:
             sync_file(path)
     except Exception as error:

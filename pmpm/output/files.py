@@ -1,6 +1,7 @@
 """How output touches the disk: whole files or none, and a failure on one rank is the same failure on all."""
 
 import contextlib
+import datetime
 import json
 import math
 import os
@@ -48,21 +49,21 @@ def one_line(error):
     return text if len(text) <= MOST_TEXT else f"{text[: MOST_TEXT - 4]} ..."
 
 
-def raise_together(comm, error):
-    """Raise OutputError on all ranks if any rank brings an `error` (an exception or None). Collective."""
-    told = comm.gather(None if error is None else explain(error))
+def on_every_rank(comm, action):
+    """Run `action()` on every rank and return what it gives there.
+
+    Collective. What goes wrong on any rank is raised as the same OutputError on all ranks.
+    """
+    result = failure = cause = None
+    try:
+        result = action()
+    except Exception as error:
+        failure, cause = explain(error), error
+    told = comm.gather(failure)
     failures = [f"rank {rank}: {text}" if comm.size > 1 else text for rank, text in enumerate(told) if text is not None]
     if failures:
-        raise OutputError(failures[0]) from error
-
-
-def failure_of(action):
-    """Run `action()` and return the exception it raised, or None."""
-    try:
-        action()
-    except Exception as error:
-        return error
-    return None
+        raise OutputError(failures[0]) from cause
+    return result
 
 
 def sync_file(path):
@@ -92,6 +93,11 @@ def remove_quietly(path):
     """Remove a file if that can be done: where a disk fails, what failed first is the message."""
     with contextlib.suppress(OSError):
         Path(path).unlink(missing_ok=True)
+
+
+def now():
+    """The time of day as files tell it."""
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def write_atomically(path, text):

@@ -1,19 +1,12 @@
-"""What makes an HDF5 file a snapshot: what VTK needs to draw particles, attributes, units."""
+"""What makes an HDF5 file a snapshot: what VTK needs to draw particles, and attributes."""
 
 import numpy as np
 
+from pmpm.output.datasets import Later
+
 FORMAT_VERSION = 1
 VTK_VERTEX = 1
-UNITS = {
-    "Points": "m",
-    "velocity": "m/s",
-    "speed": "m/s",
-    "pressure": "Pa",
-    "stress": "Pa",
-    "deformation_gradient": "-",
-    "J": "-",
-    "density": "kg/m3",
-}
+GROUP = 1 << 18  # rows that are made at a time
 
 
 def three_columns(vectors):
@@ -30,17 +23,25 @@ def topology(comm, first, rows, count):
     One partition, whatever the number of ranks: with several, Connectivity would count anew in each, and mean another
     thing to XDMF than to VTKHDF.
     """
-    here = np.arange(first, first + rows, dtype=np.int64)
-    is_last = comm.rank == comm.size - 1
+    last, is_last = first + rows, comm.rank == comm.size - 1
     total = np.full(1 if comm.rank == 0 else 0, count, np.int64)
     return {
         "VTKHDF/NumberOfPoints": total,
         "VTKHDF/NumberOfCells": total,
         "VTKHDF/NumberOfConnectivityIds": total,
-        "VTKHDF/Connectivity": here,
-        "VTKHDF/Offsets": np.append(here, count) if is_last else here,
-        "VTKHDF/Types": np.full(rows, VTK_VERTEX, np.uint8),
+        "VTKHDF/Connectivity": counted(first, last),
+        "VTKHDF/Offsets": counted(first, last + 1 if is_last else last),
+        "VTKHDF/Types": Later((rows,), np.dtype(np.uint8), lambda: [np.full(rows, VTK_VERTEX, np.uint8)]),
     }
+
+
+def counted(first, last):
+    """The whole numbers first .. last - 1 as rows."""
+
+    def make():
+        return (np.arange(begin, min(begin + GROUP, last), dtype=np.int64) for begin in range(first, last, GROUP))
+
+    return Later((last - first,), np.dtype(np.int64), make)
 
 
 def snapshot_attributes(scene, time, step, dt):

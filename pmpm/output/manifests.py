@@ -11,9 +11,8 @@ from pathlib import Path
 
 from xxhash import xxh3_64
 
-from pmpm.output.files import OutputError, on_rank_zero, raise_together, sync_folder, unfinished_name
+from pmpm.output.files import OutputError, now, on_every_rank, on_rank_zero, sync_folder, unfinished_name
 from pmpm.output.layout import FORMAT_VERSION as SNAPSHOT_VERSION
-from pmpm.output.run_directory import now
 
 FORMAT, FORMAT_VERSION = "pmpm checkpoint", 1
 MANIFEST = re.compile(r"(\d{6,})\.json")
@@ -111,15 +110,7 @@ def complaint_about(path, comm):
     """What is wrong with a checkpoint file, the same on all ranks, or None: each rank reads a share of it. Collective."""
     try:
         held = on_rank_zero(comm, lambda: read_manifest(path))
-    except OutputError as error:
-        return str(error)
-    failure = None
-    try:
-        check_share(path, held, comm.rank, comm.size)
-    except Exception as error:
-        failure = error
-    try:
-        raise_together(comm, failure)
+        on_every_rank(comm, lambda: check_share(path, held, comm.rank, comm.size))
     except OutputError as error:
         return str(error)
     return None

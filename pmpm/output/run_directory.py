@@ -9,7 +9,6 @@ DIR/failed.hdf       the state of a run that went wrong, as a snapshot
 """
 
 import contextlib
-import datetime
 import json
 import os
 import platform
@@ -20,9 +19,11 @@ import time
 from importlib import metadata
 from pathlib import Path
 
+from pmpm.output import manifests
 from pmpm.output.files import (
     OutputError,
     explain,
+    now,
     on_rank_zero,
     remove_quietly,
     to_json,
@@ -100,7 +101,7 @@ class RunDirectory:
             check_writable(place)
             lock = take_lock(place)
             try:
-                if found is not None and checkpoint_numbers(place) != set(found):
+                if found is not None and manifests.numbers(place / CHECKPOINTS) != found:
                     raise OutputError(
                         f"{place}: another process has gone on with this run meanwhile: start again to go on from there"
                     )
@@ -241,11 +242,6 @@ def remove_checkpoints(place, numbers=None):
                 entry.unlink()
 
 
-def checkpoint_numbers(place):
-    """Numbers of the finished checkpoints of a run."""
-    return {int(entry.stem) for entry in (place / CHECKPOINTS).glob("*.json") if OWN_NAMES.fullmatch(entry.name)}
-
-
 def remove_unfinished(place):
     """Delete files that a process was writing when it died."""
     for folder in (place, *(place / name for name in OWN_FOLDERS)):
@@ -293,10 +289,6 @@ def version_of(package):
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return None
-
-
-def now():
-    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def read_record(place):

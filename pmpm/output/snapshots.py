@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pmpm.output.datasets import default_parallel, write_datasets
-from pmpm.output.files import OutputError, explain, failure_of, on_rank_zero, raise_together, write_atomically
+from pmpm.output.files import OutputError, explain, on_every_rank, on_rank_zero, write_atomically
 from pmpm.output.layout import snapshot_attributes, three_columns, topology
 from pmpm.output.reader import reading
 from pmpm.output.run_directory import FAILED, INDEX, SNAPSHOTS, snapshot_files
@@ -52,12 +52,7 @@ class SnapshotWriter:
     def __call__(self, simulation):
         """Write one snapshot of `simulation`. Collective; OutputError on all ranks if any rank fails."""
         path = self.directory.path / SNAPSHOTS / f"{self.count:06d}.hdf"
-        pieces: dict = {}
-        raise_together(self.comm, failure_of(lambda: pieces.update(collect(simulation, self.scene, self.names))))
-        first, count = self.comm.offsets(simulation.rows())
-        pieces = topology(self.comm, first, simulation.rows(), count) | pieces
-        attributes = snapshot_attributes(self.scene, simulation.time, simulation.step_count, simulation.dt)
-        shapes, _ = write_datasets(self.comm, path, pieces, attributes, self.parallel)
+        shapes = write_snapshot(self.comm, path, simulation, self.scene, self.names, self.parallel)
         self.entries.append(index_entry(path, simulation.time, shapes))
         self.count += 1
         self.write_index()
@@ -69,15 +64,21 @@ class SnapshotWriter:
 
 def write_failed(directory, simulation, message):
     """Write the state of a run that has failed as a snapshot marked bad, DIR/failed.hdf; returns its path. Collective."""
-    comm, scene = directory.comm, simulation.scene
-    pieces: dict = {}
-    raise_together(comm, failure_of(lambda: pieces.update(collect(simulation, scene, list(scene.output.fields)))))
+    comm, scene, path = directory.comm, simulation.scene, directory.path / FAILED
+    write_snapshot(comm, path, simulation, scene, scene.output.fields, default_parallel(comm), {"failure": message})
+    return path
+
+
+def write_snapshot(comm, path, simulation, scene, names, parallel, told=None):
+    """Write particles with the named fields; returns {dataset path: (shape, dtype)}. `told`: more attributes. Collective."""
+    pieces = on_every_rank(comm, lambda: collect(simulation, scene, names))
     first, count = comm.offsets(simulation.rows())
     attributes = snapshot_attributes(scene, simulation.time, simulation.step_count, simulation.dt)
-    attributes["pmpm"]["failure"] = message
-    pieces = topology(comm, first, simulation.rows(), count) | pieces
-    write_datasets(comm, directory.path / FAILED, pieces, attributes, default_parallel(comm))
-    return directory.path / FAILED
+    attributes["pmpm"] |= told or {}
+    shapes, _ = write_datasets(
+        comm, path, topology(comm, first, simulation.rows(), count) | pieces, attributes, parallel
+    )
+    return shapes
 
 
 def entries_on_disk(place, names):

@@ -1,5 +1,6 @@
 """A checkpoint of any number of ranks goes on, on any other number, with the bits of one process that never stopped."""
 
+import h5py
 import numpy as np
 import pytest
 import several_laws
@@ -100,6 +101,20 @@ def test_each_byte_of_a_rank_is_under_a_checksum_of_that_rank(path):
         sum(nbytes for _, nbytes, _ in held["datasets"]["VTKHDF/Points"])
         == 24 * COMM.sum(np.array([simulation.rows()]))[0]
     )
+
+
+def test_contents_that_one_rank_alone_finds_wrong_stop_all_ranks_with_one_message(path):
+    """The last particle, which the last rank reads, does not lie where its layer is; the checksums are right."""
+    Simulation(several_laws.tall(), COMM).save(path)
+    if COMM.rank == 0:
+        held = manifests.read_manifest(path)
+        with h5py.File(path, "r+") as file:
+            file["restart/fluid/place"][-1] += 3 << 52
+        manifests.write_manifest(path, [{}], held)
+    COMM.barrier()
+    with pytest.raises(OutputError, match="is not where its layer is") as raised:
+        Simulation.restart(path, None, COMM)
+    assert COMM.gather(str(raised.value)) == [str(raised.value)] * COMM.size
 
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
