@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import bits
 import h5py
@@ -12,9 +13,12 @@ import numpy as np
 import pytest
 import several_laws
 
+from pmpm import restart
 from pmpm.explain import explain
 from pmpm.output import manifests
+from pmpm.output.files import OutputError
 from pmpm.output.reader import Snapshot, describe, load
+from pmpm.output.snapshots import write_failed
 from pmpm.parallel.comm import Alone
 from pmpm.run import run_scene
 from pmpm.scene.schema import Scene
@@ -272,9 +276,6 @@ def test_the_state_of_a_failed_run_is_a_snapshot_marked_bad(tmp_path):
 
 def test_a_failed_state_is_no_checkpoint(tmp_path):
     _, run = failed(falling(), tmp_path)
-    from pmpm import restart
-    from pmpm.output.files import OutputError
-
     with pytest.raises(OutputError, match="is no finished checkpoint"):
         restart.find(run / "failed.hdf", Alone())
 
@@ -329,17 +330,12 @@ def test_what_check_says_of_the_copy_is_what_it_takes():
     assert "copy" not in explain(Scene.builtin("dam_break"), 1)
 
 
-def test_files_of_a_failed_write_hold_no_half_rows(tmp_path):
-    """The state that failed may hold what is not a number: it is written as it is."""
+def test_a_failed_state_that_is_not_a_number_is_written_as_it_is(tmp_path):
     simulation = Simulation(several_laws.flat())
     simulation.run(steps=5)
     velocities = simulation.particles.v
     velocities[3] = np.nan
     simulation.particles.v = velocities
-    from types import SimpleNamespace
-
-    from pmpm.output.snapshots import write_failed
-
     path = write_failed(SimpleNamespace(path=tmp_path, comm=Alone()), simulation, "why")
     with h5py.File(path) as file:
         assert np.isnan(file["VTKHDF/PointData/velocity"][3]).any()
