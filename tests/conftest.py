@@ -5,6 +5,7 @@ Standing here, it also lets tests of all folders import what they share from thi
 
 import os
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -23,10 +24,14 @@ def with_mpi(config):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config):
-    """Let rank 0 speak for all: what ranks print at once comes out mixed."""
+    """Let rank 0 speak for all: what ranks print at once comes out mixed. Each rank gets temporary folders of its own: pytest
+    removes old ones at its end, and warns when another process is removing the same."""
     if with_mpi(config):
         from mpi4py import MPI
 
+        own = Path(tempfile.gettempdir(), f"pytest-of-rank-{MPI.COMM_WORLD.rank}")
+        own.mkdir(exist_ok=True)
+        os.environ["PYTEST_DEBUG_TEMPROOT"] = str(own)
         if MPI.COMM_WORLD.rank > 0:
             sys.stdout = open(os.devnull, "w")  # noqa: SIM115
 
