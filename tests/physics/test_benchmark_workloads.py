@@ -1,20 +1,11 @@
 """The workloads of benchmarks/kernels.py ask the same of pmpm as of the codes beside it."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+import workloads
 from flat import flat_symmetric, in_dimension, symmetric
 
 from pmpm.physics.materials import drucker_prager, fluid
-
-PATH = Path(__file__).parents[2] / "benchmarks" / "workloads.py"
-SPEC = importlib.util.spec_from_file_location("workloads", PATH)
-workloads = importlib.util.module_from_spec(SPEC)
-sys.modules["workloads"] = workloads  # dataclasses look their module up
-SPEC.loader.exec_module(workloads)
 
 KEYS = {
     "density": workloads.DENSITY,

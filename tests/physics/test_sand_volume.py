@@ -1,15 +1,8 @@
 """Sand that is dilated again and again: the expectation and its gates stand in benchmarks/sand_volume.py, a finer run."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-PATH = Path(__file__).parents[2] / "benchmarks" / "sand_volume.py"
-SPEC = importlib.util.spec_from_file_location("sand_volume", PATH)
-sand_volume = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(sand_volume)
+import sand_volume
 
 CELL_SIZE, CYCLES, SIZE = 0.01, 2, (0.04, 0.1)  # m; a bed of 4 by 10 cells
 

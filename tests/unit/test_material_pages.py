@@ -1,19 +1,16 @@
 """docs/materials says what the laws say, and docs/theory.md points at what exists."""
 
 import ast
-import importlib.util
 import re
 from pathlib import Path
 
+import make_materials
 import pytest
 
 from pmpm.physics.materials import LAWS
 from pmpm.physics.materials.examples import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
-SPEC = importlib.util.spec_from_file_location("make_materials", ROOT / "docs" / "make_materials.py")
-make_materials = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(make_materials)
 
 PAGES = make_materials.pages()
 POINTER = re.compile(r"`(pmpm/[\w/]+\.py):(\w+(?:\.\w+)?)`")
