@@ -72,7 +72,7 @@ def facts():
         f"PIC carries no affine field C: {total(pic)} bytes for water instead of {total(plain)}. Viscous stress follows from "
         f"C, so that viscous water has it with PIC, too ({total(viscous)} bytes).",
         f"F-bar adds one number, {averaged['divergence']} bytes, and two kernels per law; X, a reference position, is there "
-        "only for a body force that reads it, and load only in a scene with loads.",
+        "only for a body force that reads it or an exact solution, and load only in a scene with loads.",
     ]
 
 

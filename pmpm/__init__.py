@@ -5,13 +5,14 @@ from importlib import import_module
 __version__ = "0.1.0"
 PUBLIC = {
     "Law": "pmpm.physics.materials.own_law",
+    "Errors": "pmpm.accuracy",
     "Scene": "pmpm.scene.schema",
     "SceneError": "pmpm.scene.errors",
     "Simulation": "pmpm.simulation",
     "NumericalFailure": "pmpm.failure",
     "load": "pmpm.output.reader",
 }
-__all__ = ["Law", "NumericalFailure", "Scene", "SceneError", "Simulation", "load"]
+__all__ = ["Errors", "Law", "NumericalFailure", "Scene", "SceneError", "Simulation", "load"]
 
 
 def __getattr__(name):

@@ -134,7 +134,7 @@ class Needs:
     wall_types: tuple[str, ...]
     f_bar: bool = False  # volume changes are averaged over nodes
     body_force: Callable | None = None  # acceleration(x, X, t) of the scene
-    uses_reference: bool = False  # whether it reads X
+    uses_reference: bool = False  # whether it reads X, or errors are measured at X
     loaded: bool = False  # whether particles carry an acceleration of their own
 
     @property

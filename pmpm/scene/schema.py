@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, ValidationError, field_serializer, 
 from pmpm.kernels.needs import STENCILS, TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
 from pmpm.scene import files, forcing, geostatic, start
+from pmpm.scene.exact import Exact, wrong_exact
 from pmpm.scene.functions import Unfit
 from pmpm.scene.geostatic import Geostatic
 from pmpm.scene.materials import AnyMaterial, Material
@@ -318,6 +319,10 @@ class Scene(Part):
     motions: Annotated[tuple[forcing.Motion, ...], tables("motion", least=0)] = Field(
         default=(), description="one table [[motions]] for each region of the grid that moves as told"
     )
+    exact: Exact | None = Field(
+        default=None,
+        description="functions of (X, t), from Python: the exact solution, against which errors are measured",
+    )
     output: Output = Field(default=Output(), description="table of what is written")
     guard: Guard = Field(default=Guard(), description="table of what is kept for the case that the run goes wrong")
 
@@ -396,6 +401,8 @@ class Scene(Part):
         settle(self, bodies=tuple(self.complete_body(body) for body in self.bodies))
         settle(self, output=self.complete_output())
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_start(body, index)]
+        if self.exact is not None:
+            problems += wrong_exact(self.exact, self.bodies, self.dim, self.time.end)
         if problems:
             raise Problems(*problems)
         return self

@@ -55,7 +55,7 @@ COMMON = (
 
 OPTIONAL = (
     Field("C", "tensor", "1/s", "affine velocity field of APIC, or the velocity gradient that viscous stress follows"),
-    Field("X", "vector", "m", "reference position, which a body force asks for"),
+    Field("X", "vector", "m", "reference position, which a body force or an exact solution asks for"),
     Field("divergence", "scalar", "1/s", "of the velocity in this step, which F-bar averages"),
     Field("load", "vector", "m/s2", "acceleration by the loads of the scene"),
 )

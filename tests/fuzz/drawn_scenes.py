@@ -16,6 +16,7 @@ from pydantic import BaseModel
 
 from pmpm.kernels.needs import TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
+from pmpm.scene.exact import Exact
 from pmpm.scene.materials import MODELS
 from pmpm.scene.materials import material as make_material
 from pmpm.scene.schema import FIELDS, Scene
@@ -25,7 +26,8 @@ ROWS = [row for row in agreement.PAIRS + agreement.SINGLE if row["material"] != 
 OWN_KERNELS = [next(row for row in ROWS if row["dim"] == dim) for dim in (2, 3)]
 ELASTIC = ("neo_hookean", "hencky", "fixed_corotated")
 CELL_SIZES = (0.05, 1e-3, 20.0)
-NEVER_IN_A_FILE = {("Scene", "body_force")}  # a function, which only Python gives
+# Functions, which only Python gives.
+NEVER_IN_A_FILE = {("Scene", key) for key in ("body_force", "exact")} | {("Exact", key) for key in Exact.model_fields}
 # Other ways to give the materials of law_examples: what they say differently.
 OTHERWISE = {
     "fluid": ({"bulk_modulus": None, "sound_speed": 1.0}, {"bulk_modulus": None, "flow_speed": 0.1}),

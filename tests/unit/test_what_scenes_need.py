@@ -29,6 +29,10 @@ def tied(x, X, t):
     return (10.0 * (X[0] - x[0]), 0.0)
 
 
+def at_rest(X, t):
+    return 0.0 * X
+
+
 def scene(*materials, **more):
     """A box of each material in 2-D and float64; `more`: tables of the scene."""
     names = [f"{number}" for number in range(len(materials))]
@@ -68,6 +72,7 @@ HELD = {
     "loads": (scene(RUBBER, loads=[LOAD]), [APIC | {"load": 16, "F": 32}]),
     "body force": (scene(RUBBER, body_force=uniform), [APIC | {"F": 32}]),
     "body force that reads X": (scene(RUBBER, body_force=tied), [APIC | {"X": 16, "F": 32}]),
+    "exact solution": (scene(RUBBER, exact={"displacement": at_rest}), [APIC | {"X": 16, "F": 32}]),
     "float32": (scene(WATER, **method(precision="float32")), [{"x": 8, "v": 8, "C": 16, "J": 4, "id": 8}]),
 }
 
