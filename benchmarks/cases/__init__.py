@@ -9,6 +9,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import pmpm
+from pmpm import accuracy
+
 SIZES = ("tiny", "standard", "sweep")  # seconds, minutes, as fine as is worth waiting for
 
 
@@ -111,3 +114,12 @@ def short(value):
     if isinstance(value, str):
         return value
     return f"{value:.3g}"
+
+
+def errors(scene, comm=None):
+    """Run a scene that carries its exact solution; returns its pmpm.accuracy.Errors, taken after every step."""
+    simulation = pmpm.Simulation(scene, comm)
+    found = accuracy.Errors(simulation)
+    simulation.every(found, steps=1, at_start=True)
+    simulation.run()
+    return found

@@ -1,0 +1,125 @@
+"""Generalized vortex (Brannon, Kamojjala and Sadeghirad, ECCOMAS Particles 2011): a ring that turns and shears, exactly.
+
+Plane strain, neo-Hookean, 0.75 <= R <= 1.25: x = Rot(alpha) X with alpha = A sin(w t) h(R), h = (16 (R - 1)^2 - 1)^2, about the
+ring's centre. J = 1 everywhere, and h = h' = 0 on both edges, which are free of traction. The body force that makes it exact, in
+the turned frame, does not depend on lam:
+
+    b_r = -R (A w cos(w t) h)^2 + (mu / rho0) R alpha_R^2
+    b_t = -R w^2 alpha - (mu / rho0) (3 alpha_R + R alpha_RR)
+"""
+
+import math
+from dataclasses import dataclass
+from types import FunctionType
+
+import numpy as np
+
+import pmpm
+from pmpm.physics.words import cos, sin, sqrt
+
+CENTRE = (2.03, 1.98)  # m, of the ring, off the grid
+INNER, OUTER = 0.75, 1.25  # m
+DENSITY, YOUNGS_MODULUS, POISSON_RATIO = 1000.0, 1000.0, 0.3
+SHEAR_MODULUS = 0.5 * YOUNGS_MODULUS / (1.0 + POISSON_RATIO)
+FREQUENCY = math.pi * math.sqrt(YOUNGS_MODULUS / DENSITY)
+END = 1.0  # s, when the ring is back where it was
+# Integral over the ring of h R^2 dA: the angular momentum is rho0 A w cos(w t) times it.
+TURNED = 2.0 * math.pi * (16.0 / 15.0 + 3.0 / 105.0) / 4.0
+
+AMPLITUDE = 0.0  # replaced by that of a solution in the copy of `force` that it gets
+
+
+def force(x, X, t):
+    rx, ry = X[0] - CENTRE[0], X[1] - CENTRE[1]
+    R = sqrt(max(rx * rx + ry * ry, 1e-12))
+    d = R - 1.0
+    bump = 16.0 * d * d - 1.0
+    h, slope, curvature = bump * bump, 64.0 * d * bump, 64.0 * (48.0 * d * d - 1.0)
+    swing, rate = AMPLITUDE * sin(FREQUENCY * t), AMPLITUDE * FREQUENCY * cos(FREQUENCY * t) * h
+    turn, shear = swing * h, swing * slope
+    b_r = -R * rate * rate + SHEAR_MODULUS / DENSITY * R * shear * shear
+    b_t = -R * FREQUENCY * FREQUENCY * turn - SHEAR_MODULUS / DENSITY * (3.0 * shear + R * swing * curvature)
+    c, s = cos(turn), sin(turn)
+    ex, ey = (rx * c - ry * s) / R, (rx * s + ry * c) / R
+    return (ex * b_r - ey * b_t, ey * b_r + ex * b_t)
+
+
+@dataclass(frozen=True)
+class Vortex:
+    """The ring with an amplitude A (rad); its largest shear is 7.05 A."""
+
+    amplitude: float = 0.1
+
+    def polar(self, X, t):
+        """r (n, 2) from the centre, R (n,), and of each ring its angle, the angle's slope over R, and its rate."""
+        r = X - CENTRE
+        R = np.sqrt((r * r).sum(axis=1))
+        d = R - 1.0
+        h = (16.0 * d * d - 1.0) ** 2
+        swing = self.amplitude * math.sin(FREQUENCY * t)
+        rate = self.amplitude * FREQUENCY * math.cos(FREQUENCY * t) * h
+        return r, R, swing * h, swing * 64.0 * d * (16.0 * d * d - 1.0), rate
+
+    def displacement(self, X, t):
+        r, _, angle, _, _ = self.polar(X, t)
+        return turned(r, angle) - r
+
+    def velocity(self, X, t):
+        r, _, angle, _, rate = self.polar(X, t)
+        return rate[:, None] * turned(r, angle + 0.5 * math.pi)
+
+    def deformation(self, X, t):
+        r, R, angle, slope, _ = self.polar(X, t)
+        across = np.stack([-r[:, 1], r[:, 0]], axis=-1)
+        sheared = np.eye(2) + (slope / R)[:, None, None] * across[:, :, None] * r[:, None, :]
+        c, s = np.cos(angle), np.sin(angle)
+        rotation = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+        return rotation @ sheared
+
+    def angular_momentum(self, t):
+        """About the centre, kg m2/s per metre."""
+        return DENSITY * self.amplitude * FREQUENCY * math.cos(FREQUENCY * t) * TURNED
+
+    @property
+    def body_force(self):
+        """The function b(x, X, t) of this solution, which kernels can compile."""
+        return FunctionType(force.__code__, force.__globals__ | {"AMPLITUDE": self.amplitude}, force.__name__)
+
+    def scene(
+        self,
+        cells,
+        transfer="mls",
+        shape_function="quadratic",
+        precision="float64",
+        particles_per_cell=4,
+        cfl=0.2,
+        flip_blend=1.0,
+    ):
+        """Half a period, in which the ring turns and comes back, with `cells` per metre; 5 particles per cell lie at random."""
+        method = {"transfer": transfer, "shape_function": shape_function, "precision": precision}
+        disks = [{"type": "sphere", "center": CENTRE, "radius": radius} for radius in (OUTER, INNER)]
+        material = {"model": "neo_hookean", "density": DENSITY}
+        return pmpm.Scene(
+            title="Generalized vortex",
+            domain={"size": [4.0, 4.0], "cell_size": 1.0 / cells},
+            method=method | ({"flip_blend": flip_blend} if transfer in ("flip", "aflip") else {}),
+            time={"end": END, "cfl": cfl},
+            materials={
+                "material": material | {"youngs_modulus": YOUNGS_MODULUS, "poisson_ratio": POISSON_RATIO},
+            },
+            bodies=[
+                {
+                    "material": "material",
+                    "shape": {"type": "difference", "of": disks},
+                    "particles_per_cell": particles_per_cell,
+                    "velocity": lambda X: self.velocity(X, 0.0),
+                }
+            ],
+            body_force=self.body_force,
+            exact={"displacement": self.displacement, "velocity": self.velocity, "deformation": self.deformation},
+        )
+
+
+def turned(r, angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * r[:, 0] - s * r[:, 1], s * r[:, 0] + c * r[:, 1]], axis=-1)
