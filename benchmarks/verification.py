@@ -19,13 +19,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 import verification_page
-from cases import SIZES, Check, Plot, Table
+from cases import SIZES, Check, Plot, Table, mms
 from laws import machine
 
 from pmpm.failure import NumericalFailure
 from pmpm.parallel.comm import from_launcher
 
-CASES: tuple = ()  # of Case, in the order of the page
+CASES = (mms.CASE,)  # in the order of the page
 KINDS = {"check": Check, "table": Table, "plot": Plot}
 
 

@@ -116,10 +116,13 @@ def short(value):
     return f"{value:.3g}"
 
 
-def errors(scene, comm=None):
-    """Run a scene that carries its exact solution; returns its pmpm.accuracy.Errors, taken after every step."""
+def errors(scene, comm=None, times=None):
+    """Run a scene that carries its exact solution; returns its pmpm.accuracy.Errors.
+
+    They are taken after every step, or at so many `times`: measuring costs more than a step does.
+    """
     simulation = pmpm.Simulation(scene, comm)
     found = accuracy.Errors(simulation)
-    simulation.every(found, steps=1, at_start=True)
+    simulation.every(found, **({"steps": 1} if times is None else {"seconds": scene.time.end / times}), at_start=True)
     simulation.run()
     return found

@@ -18,7 +18,10 @@ from types import FunctionType
 
 import numpy as np
 
+import cases
 import pmpm
+from cases import Case, Check, Plot, Table, at_least, between, near
+from pmpm.failure import NumericalFailure
 from pmpm.physics.words import cos, exp, log, sin
 
 GAMMA = 7.0
@@ -182,12 +185,15 @@ class AxisAligned:
         courant=0.2,
         cfl=None,
         flip_blend=1.0,
+        staggered=False,
     ):
         """One period with `cells` along the unit box, `per_axis`^dim particles in each.
 
-        The step is `courant` dx / sqrt(E / rho0), or `cfl` of the stable one if that is given.
+        The step is `courant` dx / sqrt(E / rho0), or `cfl` of the stable one if that is given. `staggered`: velocities start
+        half a fixed step early, where those of symplectic Euler belong.
         """
         dx = 1.0 / cells
+        start = -0.5 * courant * dx if staggered else 0.0
         size = [1.0 if axis < self.moving or self.moving > 1 else WIDTH * dx for axis in range(self.dim)]
         axes = "xyz"[: self.dim]
         around = {"walls": {f"{a}_{end}": "slip" for a in axes for end in ("min", "max")}}
@@ -198,7 +204,7 @@ class AxisAligned:
             "shape": {"type": "box", "min": [0.0] * self.dim, "max": size},
             "particles_per_cell": per_axis**self.dim,
             "displacement": lambda X: self.displacement(X, 0.0),
-            "velocity": lambda X: self.velocity(X, 0.0),
+            "velocity": lambda X: self.velocity(X, start),
             "deformation": lambda X: self.deformation(X, 0.0),
         }
         method = {"transfer": transfer, "shape_function": shape_function, "precision": precision}
@@ -212,3 +218,185 @@ class AxisAligned:
             body_force=self.body_force,
             exact={"displacement": self.displacement, "velocity": self.velocity, "deformation": self.deformation},
         )
+
+
+# ---- what is expected, and checked ---------------------------------------------------------------------------------------
+
+# e_u at 32, 64 and 128 cells of an independent one-dimensional program of the same schemes, rounded to two digits: neo-Hookean
+# with nu = 0, 2 particles per cell, steps of 0.2 dx / sqrt(E / rho0).
+EXPECTED = {
+    0.1: {
+        ("flip", "linear"): (0.15, 0.29, 0.57),  # cell crossing: refining makes it worse
+        ("flip", "quadratic"): (6.1e-2, 1.6e-2, 4.2e-3),
+        ("flip", "cubic"): (8.0e-2, 2.0e-2, 5.05e-3),
+        ("apic", "linear"): (0.14, 0.32, 0.56),
+        ("apic", "quadratic"): (3.1e-2, 8.0e-3, 2.4e-3),
+        ("apic", "cubic"): (4.0e-2, 1.0e-2, 2.5e-3),
+        ("mls", "quadratic"): (2.6e-2, 6.9e-3, 2.2e-3),
+        ("mls", "cubic"): (3.6e-2, 9.1e-3, 2.3e-3),
+        ("pic", "quadratic"): (0.44, 0.25, 0.14),
+    },
+    1e-4: {
+        ("flip", "linear"): (3.2e-2, 8.1e-3, 2.0e-3),
+        ("flip", "quadratic"): (6.2e-2, 1.6e-2, 3.9e-3),
+        ("flip", "cubic"): (8.0e-2, 2.0e-2, 5.0e-3),
+        ("apic", "linear"): (9.6e-3, 2.4e-3, 6.1e-4),
+        ("apic", "quadratic"): (3.2e-2, 8.1e-3, 2.0e-3),
+        ("apic", "cubic"): (3.9e-2, 1.0e-2, 2.5e-3),
+        ("mls", "quadratic"): (2.5e-2, 6.4e-3, 1.6e-3),
+        ("mls", "cubic"): (3.5e-2, 8.9e-3, 2.2e-3),
+        ("pic", "quadratic"): (0.44, 0.25, 0.14),
+    },
+}
+EXPECTED_CELLS = (32, 64, 128)
+# Of PIC with quadratic splines at 64 cells: {step / (dx / sqrt(E / rho0)): e_u}. Its filter acts once per step.
+EXPECTED_OF_PIC = {0.05: 0.68, 0.1: 0.44, 0.2: 0.25, 0.4: 0.14}
+# Of APIC at 64 cells, A k = 0.1: {particles per axis: e_u}.
+EXPECTED_OF_PARTICLES = {1: 7.9e-3, 2: 8.0e-3, 4: 7.6e-3, 8: 7.5e-3}
+PROGRAM, SECOND = "an independent one-dimensional program", (1.75, 2.25)
+ORDER = "second order: lumped mass and particle quadrature, whatever the spline"
+CELLS = {"tiny": (16, 32), "standard": (16, 32, 64, 128), "sweep": (8, 16, 32, 64, 128, 256)}
+CELLS_2D = {"tiny": (16, 32), "standard": (16, 32, 64), "sweep": (8, 16, 32, 64, 128)}
+CELLS_3D = {"tiny": (8, 16), "standard": (8, 16, 32), "sweep": (8, 16, 32, 48)}
+TIMES = 50  # at which errors are taken in two and three dimensions
+
+
+def measured(comm, solution, cells, *scheme, times=None, **more):
+    """e_u of a run, nan of one that stops."""
+    try:
+        return cases.errors(solution.scene(cells, *scheme, **more), comm, times).largest["displacement"]
+    except NumericalFailure:
+        return math.nan
+
+
+def spacing(cells):
+    return [1.0 / count for count in cells]
+
+
+def along_one_axis(size, comm):
+    """The independent program's numbers, and the order of each scheme."""
+    cells = CELLS[size]
+    for strain, expected in EXPECTED.items():
+        solution = AxisAligned(moving=1, poisson_ratio=0.0, strain=strain)
+        lines, rows = {}, []
+        for scheme, known in expected.items():
+            name = f"{' '.join(scheme)}, A k = {strain:g}"
+            found = {count: measured(comm, solution, count, *scheme) for count in cells}
+            lines[" ".join(scheme)] = cells, [found[count] for count in cells]
+            rows.append((*scheme, *found.values()))
+            for count, value in zip(EXPECTED_CELLS, known, strict=True):
+                if count in found:
+                    yield near(f"{name}: e_u at {count} cells", found[count], value, 0.1, PROGRAM)
+            yield from judge_order(name, scheme, strain, {count: found[count] for count in cells if 16 <= count <= 64})
+        yield Table(f"e_u along one axis, A k = {strain:g}", ("transfer", "spline", *map(str, cells)), rows)
+        yield Plot(f"One axis, A k = {strain:g}", "cells", "e_u", lines, "loglog")
+
+
+def judge_order(name, scheme, strain, found):
+    cells, errors = list(found), list(found.values())
+    observed = cases.order(errors, spacing(cells))
+    what = f"{name}: order, {cells[0]} to {cells[-1]} cells"
+    if scheme[0] == "pic":
+        yield between(
+            what, observed, 0.6, 1.1, "PIC's filter is a viscosity dx^2 / (4 dt): first order at a fixed Courant number"
+        )
+    elif scheme[1] != "linear":
+        yield between(what, observed, *SECOND, ORDER)
+    elif strain < 1e-3:
+        yield at_least(what, observed, 1.9, "second order as long as no particle leaves its cell")
+    else:
+        grown = errors[-1] / errors[-2]
+        yield at_least(
+            f"{name}: e_u grows from {cells[-2]} to {cells[-1]} cells, times",
+            grown,
+            0.9,
+            "cell crossing: no convergence",
+        )
+
+
+def steps_and_particles(size, comm):
+    """What PIC's error, and the number of particles, depend on; float32."""
+    solution, cells = AxisAligned(moving=1, poisson_ratio=0.0), 64
+    courants = EXPECTED_OF_PIC if size != "tiny" else {0.2: 0.25, 0.4: 0.14}
+    for courant, expected in courants.items():
+        error = measured(comm, solution, cells, "pic", courant=courant)
+        yield near(f"PIC quadratic, 64 cells, step {courant} dx / c: e_u", error, expected, 0.1, PROGRAM)
+    if size == "tiny":
+        return
+    for per_axis, expected in EXPECTED_OF_PARTICLES.items():
+        error = measured(comm, solution, cells, "apic", per_axis=per_axis, times=TIMES)
+        yield near(f"APIC quadratic, 64 cells, {per_axis} particles per axis: e_u", error, expected, 0.1, PROGRAM)
+    for strain, why in ((0.1, "e_u is that of float64 to 2 %"), (1e-4, "")):
+        solution = AxisAligned(moving=1, poisson_ratio=0.0, strain=strain)
+        single, double = (measured(comm, solution, cells, "apic", precision=p) for p in ("float32", "float64"))
+        what = f"APIC quadratic, 64 cells, A k = {strain:g}: e_u in float32 over that in float64"
+        yield near(what, single / double, 1.0, 0.02, why) if why else Check(what, single / double)
+
+
+def in_space(size, comm, dim, cells, schemes):
+    """Orders of schemes and laws in two or three dimensions, and between walls."""
+    rows = []
+    for law, walls, *scheme in schemes:
+        solution = AxisAligned(dim, dim, law, walls=walls, strain=0.05 * math.pi if walls else 0.1)
+        found = [measured(comm, solution, count, *scheme, times=TIMES, staggered=True) for count in cells]
+        where = "slip walls" if walls else "periodic"
+        name = f"{dim}-D, {law}, {where}, {' '.join(scheme)}"
+        rows.append((law, where, *scheme, *found))
+        yield between(
+            f"{name}: order, {cells[0]} to {cells[-1]} cells", cases.order(found, spacing(cells)), *SECOND, ORDER
+        )
+    yield Table(f"e_u in {dim}-D", ("law", "box", "transfer", "spline", *map(str, cells)), rows)
+
+
+def start_of_velocities(size, comm):
+    """What it costs to give symplectic Euler velocities of the wrong half step."""
+    solution, cells = AxisAligned(walls=True, strain=0.05 * math.pi), CELLS_2D[size]
+    for staggered, when in ((True, "half a step before"), (False, "at")):
+        found = [measured(comm, solution, count, "mls", "cubic", times=TIMES, staggered=staggered) for count in cells]
+        yield Check(
+            f"2-D, slip walls, MLS cubic, velocities of {when} t = 0: order", cases.order(found, spacing(cells))
+        )
+
+
+SCHEMES = [(transfer, spline) for transfer in ("flip", "apic", "mls") for spline in ("quadratic", "cubic")]
+SCHEMES_2D = [
+    *(("neo_hookean", False, *scheme) for scheme in SCHEMES),
+    *(
+        (law, walls, "mls", "cubic")
+        for law in LAWS
+        for walls in (False, True)
+        if (law, walls) != ("neo_hookean", False)
+    ),
+]
+SCHEMES_3D = [
+    *(("neo_hookean", False, transfer, "quadratic") for transfer in ("flip", "apic", "mls")),
+    *((law, False, "mls", "cubic") for law in LAWS),
+    ("neo_hookean", True, "mls", "cubic"),
+]
+
+
+def verify(size, comm):
+    yield from along_one_axis(size, comm)
+    yield from steps_and_particles(size, comm)
+    yield from start_of_velocities(size, comm)
+    tiny = [("neo_hookean", False, "mls", "quadratic"), ("fluid", True, "mls", "cubic")]
+    yield from in_space(size, comm, 2, CELLS_2D[size], tiny if size == "tiny" else SCHEMES_2D)
+    yield from in_space(size, comm, 3, CELLS_3D[size], tiny[:1] if size == "tiny" else SCHEMES_3D)
+
+
+ABOUT = """u_i = A sin(k X_i) sin(w t + phi_i) in every direction, F diagonal, with the body force of Wallstedt and Guilkey, J. Comput. Phys. 227
+(2008) 9628, for four laws ([the formulas](../../benchmarks/cases/mms.py)): k = 2 pi, phi = (0, 1, 2) in a periodic box, k = pi and
+phi = (0, 2 pi / 3, 4 pi / 3), A = 0.05 between slip walls; particles start displaced and deformed. One period, 2 particles per
+axis and cell, steps of 0.2 dx / sqrt(E / rho0), float64 unless said otherwise; along one axis nu = 0, else 0.3; fluid: gamma = 7.
+
+- The degree of the spline does not raise the order above 2, and quadratic splines have the smaller constant. What cubic ones buy
+  is a smaller floor, where the sum over particles no longer stands for the integral: e_F of quadratic ones stays near 0.02 at
+  A k = 0.1. With more particles per cell that floor sinks.
+- Linear splines are of second order until particles cross cells, then diverge.
+- PIC's filter is a viscosity dx^2 / (4 dt): the smaller the step, the larger the error.
+- Velocities of symplectic Euler belong half a step before positions. Where the solution does not start at rest in
+  displacement (phi not 0), giving it those of t = 0 costs an error of first order in dt; in two and three dimensions those of
+  -dt / 2 are given, and both are shown for one case. e_v, taken at full steps, is of first order either way.
+"""
+
+CASE = Case("V1", "Axis-aligned manufactured solution", ABOUT, verify)

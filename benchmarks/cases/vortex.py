@@ -1,8 +1,8 @@
 """Generalized vortex (Brannon, Kamojjala and Sadeghirad, ECCOMAS Particles 2011): a ring that turns and shears, exactly.
 
 Plane strain, neo-Hookean, 0.75 <= R <= 1.25: x = Rot(alpha) X with alpha = A sin(w t) h(R), h = (16 (R - 1)^2 - 1)^2, about the
-ring's centre. J = 1 everywhere, and h = h' = 0 on both edges, which are free of traction. The body force that makes it exact, in
-the turned frame, does not depend on lam:
+ring's centre. J = 1 everywhere, and h = h' = 0 on both edges, which are free of traction. The body force that makes it
+exact, in the turned frame, does not depend on lam:
 
     b_r = -R (A w cos(w t) h)^2 + (mu / rho0) R alpha_R^2
     b_t = -R w^2 alpha - (mu / rho0) (3 alpha_R + R alpha_RR)
