@@ -19,13 +19,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 import verification_page
-from cases import SIZES, Check, Plot, Table, mms
+from cases import SIZES, Check, Plot, Table, bar, mms, rigid, vortex
 from laws import machine
 
 from pmpm.failure import NumericalFailure
 from pmpm.parallel.comm import from_launcher
 
-CASES = (mms.CASE,)  # in the order of the page
+CASES = (mms.CASE, vortex.CASE, bar.CASE, rigid.CASE)  # in the order of the page
 KINDS = {"check": Check, "table": Table, "plot": Plot}
 
 
