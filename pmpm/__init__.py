@@ -11,8 +11,9 @@ PUBLIC = {
     "Simulation": "pmpm.simulation",
     "NumericalFailure": "pmpm.failure",
     "load": "pmpm.output.reader",
+    "study": "pmpm.studies.study",
 }
-__all__ = ["Errors", "Law", "NumericalFailure", "Scene", "SceneError", "Simulation", "load"]
+__all__ = ["Errors", "Law", "NumericalFailure", "Scene", "SceneError", "Simulation", "load", "study"]
 
 
 def __getattr__(name):

@@ -14,7 +14,6 @@ BEGAN = time.time()  # from which --walltime counts
 NOT_BUILT = {
     "render": "pictures and a film of a run, without ParaView",
     "plot": "diagnostics of a run over time",
-    "study": "error against run time for a scene",
 }
 
 
@@ -105,6 +104,7 @@ class RankParser(argparse.ArgumentParser):
 
 def parser(rank=0):
     from pmpm.point import options
+    from pmpm.studies.options import add_study
 
     RankParser.rank = rank
     top = RankParser(prog="pmpm", description="Distributed Material Point Method solver.", allow_abbrev=False)
@@ -138,6 +138,7 @@ def parser(rank=0):
     commands.add_parser("scenes", help="list the built-in scenes")
     commands.add_parser("materials", help="list material models, their keys, units and sources")
     options.add_point(commands)
+    add_study(commands)
     info = commands.add_parser("info", help="what a run folder or snapshot holds")
     info.add_argument("path", metavar="PATH")
     for name, meaning in NOT_BUILT.items():
@@ -285,6 +286,27 @@ def point(options, comm):
     return complain(f"stopped: {failure}", comm.rank, FAILED) if failure else FINISHED
 
 
+def study(options, comm):
+    from pathlib import Path
+
+    from pmpm import requests
+
+    scene = read_scene(options, comm)
+    from pmpm.studies.plan import Options
+    from pmpm.studies.study import StudyStopped, carry_out
+
+    asked = Options(options.levels, options.refine, options.transfer, options.shape_function, options.precisions,
+                    options.cfl, options.until, options.repeat)  # fmt: skip
+    out = options.out or f"{Path(options.scene).stem}_study"
+    with requests.keeping_signals() as early:
+        try:
+            found = carry_out(scene, asked, out, comm, options.overwrite, options.quiet, early)
+        except StudyStopped as stopped:
+            return complain(stopped, comm.rank, STOPPED)
+    say(found.text, comm.rank)
+    return FINISHED
+
+
 def info(options, comm):
     from pmpm.output.reader import describe
 
@@ -292,4 +314,6 @@ def info(options, comm):
     return FINISHED
 
 
-COMMANDS = {"run": run, "check": check, "scenes": scenes, "materials": materials, "point": point, "info": info}
+COMMANDS = {
+    "run": run, "check": check, "scenes": scenes, "materials": materials, "point": point, "study": study, "info": info,
+}  # fmt: skip

@@ -33,6 +33,7 @@ class Requests:
         self.is_timekeeper = comm.rank == 0
         self.deadline, self.interval = deadline, interval
         self.pending = 0
+        self.heard = 0  # signals that ask to stop, whether a simulation has been asked or has ended before
         self.last_checkpoint = clock.monotonic()
         self.last_step: float | None = None  # before the first step lie reading and compiling
         self.longest_step = 0.0
@@ -56,7 +57,9 @@ class Requests:
     def note(self, number, frame):
         if number == signal.SIGINT:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
-        self.pending = max(self.pending, CHECKPOINT if number == CHECKPOINTING else SIGNALLED + number)
+        asked = CHECKPOINT if number == CHECKPOINTING else SIGNALLED + number
+        self.pending = max(self.pending, asked)
+        self.heard = max(self.heard, asked if asked > CHECKPOINT else 0)
 
     def __call__(self, simulation):
         if self.is_timekeeper:

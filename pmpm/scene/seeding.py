@@ -160,6 +160,24 @@ def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer
     return Seeds(node[here].astype(np.int32), offset[here], ids[here])
 
 
+def places_of(scene, ids):
+    """(body (n,), cell (n, dim) int64, place in the cell (n, dim)) from which particles came, as their ids tell."""
+    offsets = id_offsets(scene)
+    body = np.searchsorted(offsets, ids, side="right") - 1
+    counts = np.array([b.particles_per_cell for b in scene.bodies], np.int64)[body]
+    cell_number, which = np.divmod(ids - offsets[body], counts)
+    cell = np.stack(np.unravel_index(cell_number, scene.cells), axis=-1).astype(np.int64)
+    place = np.zeros((len(ids), scene.dim))
+    for number in np.unique(body):
+        rows, count = np.flatnonzero(body == number), scene.bodies[number].particles_per_cell
+        regular = lattice(count, scene.dim)
+        if regular is None:
+            place[rows] = jittered(cell[rows], count, number)[np.arange(len(rows)), which[rows]]
+        else:
+            place[rows] = regular[which[rows]]
+    return body, cell, place
+
+
 def joined(parts, dim):
     if not parts:
         return Seeds(np.zeros((0, dim), np.int32), np.zeros((0, dim)), np.zeros(0, np.int64))
