@@ -145,4 +145,4 @@ def first_of(times):
 
 def ahead_text(schemes, largest, smallest):
     who = " and ".join(sorted(schemes)) + (" alike" if len(schemes) > 1 else "")
-    return f"{who} at errors of {largest:.2g}" + (f" to {smallest:.2g}" if smallest < largest else "")
+    return f"{who} at {f'errors of {largest:.2g} to {smallest:.2g}' if smallest < largest else f'an error of {largest:.2g}'}"

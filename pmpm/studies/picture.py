@@ -1,4 +1,8 @@
-"""A study as a picture: error against run time, a line for each scheme."""
+"""A study as a picture: error against run time, a line for each scheme.
+
+Where no error is known of a scheme it is named and has no line: its differences between levels are no errors, and would look
+smaller than those of others. Where no error is known of any scheme, differences are drawn.
+"""
 
 from pmpm.output.files import unfinished_name
 from pmpm.studies.runs import FINISHED
@@ -15,18 +19,19 @@ def draw(study, file):
         from matplotlib.figure import Figure
     except ImportError:
         return MISSING
-    lines = [(scheme, *points_of(scheme)) for scheme in study.schemes]
-    if not any(points for _, points, _ in lines):
+    known = any(scheme.points for scheme in study.schemes)
+    lines = [(scheme, positive(scheme.points if known else differences_of(scheme))) for scheme in study.schemes]
+    if not any(points for _, points in lines):
         return NOTHING
     figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
     axes = figure.subplots()
-    for number, (scheme, points, known) in enumerate(lines):
-        if points:
-            draw_line(axes, scheme, points, known, f"C{number % 10}", MARKERS[number % len(MARKERS)])
+    for number, (scheme, points) in enumerate(lines):
+        draw_line(axes, scheme, points, known, f"C{number % 10}", MARKERS[number % len(MARKERS)])
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("run time of the steps (s)")
-    axes.set_ylabel("error of displacement" if study.exact else "estimated error of displacement")
+    error = "error of displacement" if study.exact else "estimated error of displacement"
+    axes.set_ylabel(error if known else "difference of displacement to the next level")
     axes.set_title(study.title, fontsize=9)
     axes.grid(which="both", color="#dddddd", lw=0.5)
     axes.spines[["top", "right"]].set_visible(False)
@@ -37,19 +42,23 @@ def draw(study, file):
     return None
 
 
-def points_of(scheme):
-    """([(seconds, error)], whether these are errors): differences to the next level where no error is known."""
-    if scheme.points:
-        return [point for point in scheme.points if point[1] > 0.0], True
+def differences_of(scheme):
+    """[(seconds, difference to the next level)], coarse first."""
     pairs = zip(scheme.rows, scheme.estimate.differences, strict=True)
-    return [(row["seconds"], value) for row, value in pairs if value and row["status"] == FINISHED], False
+    return [(row["seconds"], value) for row, value in pairs if value is not None and row["status"] == FINISHED]
+
+
+def positive(points):
+    """The points that can stand on logarithmic axes."""
+    return [point for point in points if min(point) > 0.0]
 
 
 def draw_line(axes, scheme, points, known, colour, marker):
     """Draw the runs of a scheme, coarse first; hollow and dashed where they are but differences."""
-    seconds, errors = zip(*points, strict=True)
-    label = f"{scheme.label}, {scheme.estimate.verdict}" + ("" if known else " (differences)")
+    seconds, values = zip(*points, strict=True) if points else ((), ())
     failed = sum(row["status"] != FINISHED for row in scheme.rows)
-    label += f", {failed} failed" if failed else ""
+    label = f"{scheme.label}, {scheme.estimate.verdict}" + (f", {failed} failed" if failed else "")
     style = {"ls": "-"} if known else {"ls": "--", "mfc": "none"}
-    axes.plot(seconds, errors, color=colour, marker=marker, ms=5, lw=1.2, label=label, **style)
+    if not points:
+        style = {"ls": "none", "marker": "none"}
+    axes.plot(seconds, values, **({"color": colour, "marker": marker, "ms": 5, "lw": 1.2, "label": label} | style))

@@ -126,7 +126,7 @@ def verdicts(study):
         if scheme.label in study.apart:
             best, apart = study.apart[scheme.label]
             text += f"; its finest run differs from that of {best} by {apart:.2g}"
-            if apart > left_together(study, scheme.label, best):
+            if scheme.estimate.left and apart > left_together(study, scheme.label, best):
                 text += ", more than both estimates together: at least one of them is too small"
         lines.append(text)
         failed = [row for row in scheme.rows if row["status"] == FAILED]
@@ -150,8 +150,8 @@ def text(study):
     return "\n".join(parts)
 
 
-def page(study):
-    """The study as a page in Markdown."""
+def page(study, picture):
+    """The study as a page in Markdown; `picture`: name of its file, or None."""
     given = ", ".join(f"{name} {value}" for name, value in study.facts["versions"].items() if value)
     machines = " and ".join(study.facts["machines"])
     fair = (
@@ -175,8 +175,7 @@ def page(study):
         *(f"- {line}" for line in verdicts(study)),
         "",
         study.sentence,
-        "",
-        "![Error against run time](study.png)",
+        *(["", f"![Error against run time]({picture})"] if picture else []),
     ]
     return "\n".join(lines) + "\n"
 

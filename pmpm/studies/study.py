@@ -102,9 +102,8 @@ def carry_out(scene, options, out, comm=None, overwrite=False, quiet=False, earl
             rows = run_all(planned, folder, comm, tell, requests)
         # Rank 0 alone reads what is compared; what it finds is for all.
         found = on_rank_zero(comm, lambda: outcome(planned, folder, rows, comm.size))
-        on_rank_zero(comm, lambda: write(found))
-        note = on_rank_zero(comm, lambda: picture.draw(found, folder.path / PICTURE))
-        tell.line(note or f"{folder.path}: {TABLE}, {PAGE} and {PICTURE}")
+        note = on_rank_zero(comm, lambda: write(found))
+        tell.line(f"{folder.path}: {TABLE}, {PAGE}{f'; {note}' if note else f' and {PICTURE}'}")
     finally:
         folder.close()
     return found
@@ -237,11 +236,12 @@ def compared(coarse, fine, folder, planned):
 
 def finest_apart(schemes, folder, planned):
     """{scheme: (that with the smallest error left, difference of displacements between the finest runs of both)}."""
-    known = [scheme for scheme in schemes if scheme.estimate.left and scheme.rows[-1]["status"] == FINISHED]
-    if len(known) < 2:
+    ended = [scheme for scheme in schemes if scheme.rows[-1]["status"] == FINISHED]
+    known = [scheme for scheme in ended if scheme.estimate.left]
+    if not known:
         return {}
     best = min(known, key=lambda scheme: scheme.estimate.left[1])
-    others = [scheme for scheme in known if scheme is not best]
+    others = [scheme for scheme in ended if scheme is not best]
     return {
         other.label: (best.label, compared(other.rows[-1], best.rows[-1], folder, planned)["displacement"])
         for other in others
@@ -249,5 +249,8 @@ def finest_apart(schemes, folder, planned):
 
 
 def write(found):
+    """Write tables and picture; returns None, or why there is no picture."""
     write_atomically(found.path / TABLE, report.csv_text(found))
-    write_atomically(found.path / PAGE, report.page(found))
+    note = picture.draw(found, found.path / PICTURE)
+    write_atomically(found.path / PAGE, report.page(found, None if note else PICTURE))
+    return note

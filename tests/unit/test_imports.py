@@ -22,7 +22,7 @@ def test_importing_pmpm_loads_nothing_heavy(tmp_path):
     assert modules_after("import pmpm", tmp_path).isdisjoint(HEAVY)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["point", "--help"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["point", "--help"], ["study", "--help"]])
 def test_help_loads_nothing_heavy(tmp_path, arguments):
     code = f"from pmpm.cli import main\ntry: main({arguments!r})\nexcept SystemExit: pass"
     assert modules_after(code, tmp_path).isdisjoint(set(HEAVY) - {"numpy"})

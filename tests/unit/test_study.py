@@ -122,7 +122,7 @@ def test_the_time_to_an_error_lies_on_a_straight_line_in_logarithms():
 def test_the_sentence_names_who_is_ahead_at_which_error():
     """At 0.2 both take 2 s (quick: 0.5 s to 8 s from 0.4 to 0.1, halfway), from 0.1 on fine is faster."""
     assert orders.sentence(POINTS) == (
-        "Most accuracy per second: fine and quick alike at errors of 0.2; fine at errors of 0.1 to 0.05. "
+        "Most accuracy per second: fine and quick alike at an error of 0.2; fine at errors of 0.1 to 0.05. "
         "An error of 0.05 is reached after fine 8 s; quick does not."
     )
 
