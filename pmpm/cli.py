@@ -292,6 +292,7 @@ def study(options, comm):
     from pmpm import requests
 
     scene = read_scene(options, comm)
+    from pmpm.run import OutputFailure
     from pmpm.studies.plan import Options
     from pmpm.studies.study import StudyStopped, carry_out
 
@@ -303,6 +304,8 @@ def study(options, comm):
             found = carry_out(scene, asked, out, comm, options.overwrite, options.quiet, early)
         except StudyStopped as stopped:
             return complain(stopped, comm.rank, STOPPED)
+        except OutputFailure as failure:
+            return complain(f"stopped: {failure}", comm.rank, FAILED)
     say(found.text, comm.rank)
     return FINISHED
 

@@ -10,7 +10,8 @@ examples:
   pmpm study column_collapse --levels 3 --transfer apic,mls,flip
   pmpm study colliding_disks --transfer apic,flip --shape-function quadratic,cubic --until 2 --repeat 3
   pmpm study dam_break --refine time --cfl 0.8 --levels 4
-exit status: 0 done (runs that failed are rows of the table), 2 wrong input, 3 stopped on request"""
+exit status: 0 done (runs that failed are rows of the table), 1 what was found could not be written, 2 wrong input,
+3 stopped on request"""
 
 
 def words(text):

@@ -25,26 +25,35 @@ def run_entry(entry, plan, comm, progress_of, requests):
 
     `progress_of`: makes an observer for a run; `requests`: a requests.Requests that listens. Raises Stopped.
     """
-    row, samples = {"number": entry.number, "scheme": entry.scheme, "level": entry.level} | of_scene(entry.scene), None
+    row = {"number": entry.number, "scheme": entry.scheme, "level": entry.level} | of_scene(entry.scene)
     seconds: list[float] = []
-    for repeat in range(plan.options.repeat):
-        try:
-            simulation, watcher, startup = begun(entry.scene, plan, comm, first=repeat == 0)
-            if repeat == 0:
-                row |= startup
-            step_to_end(simulation, progress_of(simulation), requests)
-            simulation.check()
-        except (NumericalFailure, SceneError) as failure:
-            cause = " ".join(str(failure).split())
-            return row | {"status": FAILED, "cause": cause}, None
-        report = simulation.report()
-        seconds.append(report["stretch"]["seconds"])
-        if repeat == 0:
-            row |= {name: report[name] for name in COUNTS}
-            row["bytes_per_particle"] = memory(simulation)
-            errors, samples = found_by(watcher, simulation)
-            row |= errors
-    return row | {"status": FINISHED, "cause": ""} | timing(seconds, row), samples
+    try:
+        found, samples = first_run(entry.scene, plan, comm, progress_of, requests, seconds)
+        for _ in range(plan.options.repeat - 1):
+            again(entry.scene, comm, progress_of, requests, seconds)
+    except (NumericalFailure, SceneError) as failure:
+        return row | {"status": FAILED, "cause": " ".join(str(failure).split())}, None
+    return row | {"status": FINISHED, "cause": ""} | found | timing(seconds, found), samples
+
+
+def first_run(scene, plan, comm, progress_of, requests, seconds):
+    """(what a row says of a run, samples or None); its time is appended to `seconds`. Collective."""
+    began = clock.perf_counter()
+    simulation = Simulation(scene, comm)
+    took = np.array([clock.perf_counter() - began, simulation.timers.seconds["compile"]])
+    whole, compiling = map(float, simulation.comm.max(took))
+    watcher = watch(simulation, plan.base)
+    report = step_to_end(simulation, progress_of(simulation), requests, seconds)
+    errors, samples = found_by(watcher, simulation)
+    found = {"compile_seconds": compiling, "startup_seconds": max(whole - compiling, 0.0)}
+    found |= {name: report[name] for name in COUNTS} | {"bytes_per_particle": memory(simulation)}
+    return found | errors, samples
+
+
+def again(scene, comm, progress_of, requests, seconds):
+    """Take a run once more, for its time. Collective."""
+    simulation = Simulation(scene, comm)
+    step_to_end(simulation, progress_of(simulation), requests, seconds)
 
 
 def of_scene(scene):
@@ -60,30 +69,31 @@ def of_scene(scene):
     }
 
 
-def begun(scene, plan, comm, first):
-    """(simulation, what watches it or None, seconds of its start) of a run that is ready to step. Collective."""
-    began = clock.perf_counter()
-    simulation = Simulation(scene, comm)
-    took = np.array([clock.perf_counter() - began, simulation.timers.seconds["compile"]])
-    whole, compiling = map(float, simulation.comm.max(took))
-    watcher: Errors | Sampler | None = None
-    if first and scene.exact is not None:
-        watcher = Errors(simulation)
-        simulation.every(watcher, seconds=scene.time.end / MEASURED, at_start=True)
-    elif first:
-        watcher = Sampler(simulation, plan.base)
-        simulation.every(watcher, steps=1, at_start=True)
-    return simulation, watcher, {"compile_seconds": compiling, "startup_seconds": max(whole - compiling, 0.0)}
+def watch(simulation, base):
+    """Attach what measures the error of a run: Errors or a Sampler."""
+    if simulation.scene.exact is not None:
+        errors = Errors(simulation)
+        simulation.every(errors, seconds=simulation.scene.time.end / MEASURED, at_start=True)
+        return errors
+    sampler = Sampler(simulation, base)
+    simulation.every(sampler, steps=1, at_start=True)
+    return sampler
 
 
-def step_to_end(simulation, progress, requests):
-    """Run a simulation, telling it what is asked from outside. Raises Stopped, NumericalFailure."""
+def step_to_end(simulation, progress, requests, seconds):
+    """Run a simulation, telling it what is asked from outside; returns its report and appends to `seconds`.
+
+    Raises Stopped, NumericalFailure.
+    """
     simulation.every(progress, steps=1, at_start=True)
     simulation.every(requests, steps=1)
     simulation.run()
     progress.finish(simulation)
     if not simulation.finished:
         raise Stopped
+    report = simulation.report()
+    seconds.append(report["stretch"]["seconds"])
+    return report
 
 
 def found_by(watcher, simulation):
@@ -102,9 +112,9 @@ def memory(simulation):
     return float(size / rows)
 
 
-def timing(seconds, row):
+def timing(seconds, found):
     middle = statistics.median(seconds)
-    per_second = row["steps"] * row["particles"] / middle if middle > 0.0 else None
+    per_second = found["steps"] * found["particles"] / middle if middle > 0.0 else None
     return {
         "seconds": middle,
         "seconds_least": min(seconds),

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from pmpm.output.files import on_rank_zero, write_atomically
+from pmpm.output.files import OutputError, on_rank_zero, write_atomically
 from pmpm.output.progress import Progress
 from pmpm.parallel import comm as communication
 from pmpm.requests import Requests, reason
+from pmpm.run import OutputFailure
 from pmpm.studies import orders, picture, report
 from pmpm.studies.folder import PAGE, PICTURE, TABLE, StudyFolder
 from pmpm.studies.plan import SPACE, Options, plan
@@ -80,7 +81,7 @@ def study(scene, out, comm=None, *, levels=3, refine=SPACE, transfer=(), shape_f
 
     `scene`: a Scene, or a function that returns one for cells that are 1, 2, 4 ... times as small; `out`: folder of the study,
     in which a study that was interrupted goes on; `transfer` ... `cfl`: values to compare. Raises SceneError and OutputError
-    before anything is run, StudyStopped on SIGINT and SIGTERM.
+    before anything is run, later OutputFailure, and StudyStopped on SIGINT and SIGTERM.
     """
     given = {"transfer": transfer, "shape_function": shape_function, "precision": precision, "cfl": cfl}
     axes = {
@@ -104,6 +105,8 @@ def carry_out(scene, options, out, comm=None, overwrite=False, quiet=False, earl
         found = on_rank_zero(comm, lambda: outcome(planned, folder, rows, comm.size))
         note = on_rank_zero(comm, lambda: write(found))
         tell.line(f"{folder.path}: {TABLE}, {PAGE}{f'; {note}' if note else f' and {PICTURE}'}")
+    except OutputError as error:
+        raise OutputFailure(f"{error}; runs that had ended are kept: the same command goes on from there") from error
     finally:
         folder.close()
     return found

@@ -14,7 +14,7 @@ from pmpm.cli import main
 from pmpm.output.files import OutputError
 from pmpm.parallel.comm import Alone
 from pmpm.scene.seeding import places_of
-from pmpm.studies import orders, samples, study
+from pmpm.studies import folder, orders, samples, study
 from pmpm.studies.plan import Options, changed, plan, table_of
 
 RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e4, "poisson_ratio": 0.3}
@@ -372,6 +372,26 @@ def test_a_run_that_fails_is_a_row_and_the_study_goes_on(tmp_path):
     assert "step" in found.rows[0]["cause"]
     assert found.text.count("failed: ") == 2
     assert "No error is known" in found.text
+
+
+def test_a_disk_that_fills_up_ends_the_study_and_keeps_what_had_ended(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("block.toml").write_text(falling(exact=None).to_toml(), encoding="utf-8")
+    written = folder.write_atomically
+
+    def full(path, text):
+        if path.name == "001.json":
+            raise OSError(28, "No space left on device", str(path))
+        written(path, text)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(folder, "write_atomically", full)
+        assert main(["study", "block.toml", "--levels", "2", "--quiet"]) == 1
+    message = capsys.readouterr().err
+    assert "001.json: No space left on device; runs that had ended are kept" in message
+    begun = counted(monkeypatch)
+    assert main(["study", "block.toml", "--levels", "2", "--quiet"]) == 0
+    assert begun == [1]
 
 
 def test_without_matplotlib_the_tables_are_written_and_the_user_told(tmp_path, monkeypatch, capsys):
