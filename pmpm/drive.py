@@ -17,6 +17,7 @@ class Drive:
         self.damping = scene.method.damping
         self.regions = [Region(motion, self.dim) for motion in scene.motions]
         self.time, self.factor = 0.0, real(1.0)
+        self.largest_load = 0.0  # m/s2, of any particle; whoever fills the simulation tells
 
     def meet(self, geometry, patch, walls):
         """Take note of a new patch and its walls."""
@@ -27,12 +28,20 @@ class Drive:
 
     def start(self, time):
         """Set what acts in a step that begins at `time` (s)."""
-        self.time, ramp = time, self.scene.time.ramp
-        self.factor = self.real(min(time / ramp, 1.0) if ramp > 0.0 else 1.0)
+        self.time, self.factor = time, self.real(self.grown(time))
         for wall in self.walls:
             wall.velocity[:] = velocity_at(self.scene.domain.wall(wall.face).velocity, time)
         for region in self.regions:
             region.start(time)
+
+    def grown(self, time):
+        """The part of gravity and loads that acts at a time."""
+        ramp = self.scene.time.ramp
+        return min(time / ramp, 1.0) if ramp > 0.0 else 1.0
+
+    def acceleration(self, time):
+        """Bound in m/s2 of what gravity and loads give a particle."""
+        return self.grown(time) * (float(np.linalg.norm(self.gravity)) + self.largest_load)
 
     def finish(self, dt):
         """Let regions travel through a step."""

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from pmpm import timestep
 from pmpm.physics import stability
 from pmpm.scene import start
 from pmpm.scene.errors import SceneError
 from pmpm.scene.seeding import meeting_later_bodies, surroundings
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
-from pmpm.timestep import MOVE
 
 SAMPLES, FEWEST_SAMPLES, ALL_SAMPLES = 4096, 32, 1 << 19  # places tried in a body, and in all of them together
 MOST_COUNTED = 20_000_000  # places that are gone through one by one; more are estimated
@@ -199,7 +199,7 @@ def amount(size):
 
 
 def stable_bounds(scene, needs, tables):
-    """(by waves, by speed) the longest step in s of undeformed particles, for cfl = 1; infinite where nothing bounds it."""
+    """The longest step in s of undeformed particles by each of timestep.BOUNDS; of what drives them gravity alone counts."""
     from pmpm.kernels import targets
 
     dx, wave = scene.domain.cell_size, 0.0
@@ -212,18 +212,16 @@ def stable_bounds(scene, needs, tables):
             wave = max(wave, target.compile(stability.signal_speed_squared)(rest, params, row[2], 1.0 / dx))
     wave = math.sqrt(wave)
     speed = max(start.largest_speed(body, scene.dim) for body in scene.bodies)
-    return (
-        dx / (wave * math.sqrt(scene.dim)) if wave > 0.0 else math.inf,
-        MOVE * dx / speed if speed > 0.0 else math.inf,
-    )
+    pull = 0.0 if scene.time.ramp > 0.0 else math.hypot(*scene.domain.gravity)
+    return timestep.stable_bounds(dx, scene.dim, wave, speed, pull)
 
 
 def first_step(scene, needs, tables):
     """The first time step in s, from the undeformed wave speeds."""
     if scene.time.step is not None:
         return scene.time.step
-    by_waves, by_speed = stable_bounds(scene, needs, tables)
-    return min(scene.time.cfl * by_waves, by_speed)
+    waves, *others = stable_bounds(scene, needs, tables)
+    return min(scene.time.cfl * waves, *others)
 
 
 def refuse_steps(time, dt):

@@ -4,6 +4,7 @@ import math
 
 from pmpm import estimate
 from pmpm.estimate import bytes_per_particle
+from pmpm.guard import unknown_work, watches_energy
 from pmpm.kernels.needs import labels
 from pmpm.parallel.slabs import room
 from pmpm.physics.materials import LAWS, python_law
@@ -41,6 +42,7 @@ def explain(scene, ranks):
         "particle-steps",
         f"ranks         room for {geometry.layers // geometry.stencil.window or 1}",
         f"method        {scene.method.transfer}, {scene.method.shape_function} splines, {scene.method.precision}",
+        f"guard         {guard_text(scene)}",
         f"laws          {', '.join(law_text(law) for law in needs.laws)}",
         f"left out      {', '.join(left_out(scene, needs)) or 'nothing'}",
         "bytes of a particle",
@@ -74,7 +76,9 @@ def memory_lines(taken, ranks):
 def refuse_fixed_step(scene, needs, tables):
     """Raise SceneError where a fixed step is beyond the stable one already of undeformed particles at rest."""
     stressed = any(b.deformation is not None or b.stress is not None or b.pressure != "zero" for b in scene.bodies)
-    if scene.time.step is None or stressed:  # of stressed particles only the run knows the waves
+    if (
+        scene.time.step is None or scene.time.force_step or stressed
+    ):  # of stressed particles only the run knows the waves
         return
     bound = min(estimate.stable_bounds(scene, needs, tables))
     if scene.time.step > bound * (1.0 + WITHIN):
@@ -82,6 +86,16 @@ def refuse_fixed_step(scene, needs, tables):
             f"time.step = {scene.time.step} s is longer than the stable step of {bound:.6g} s at t = 0 s: give a shorter step, "
             "or cfl instead"
         )
+
+
+def guard_text(scene):
+    """What a run is stopped for besides particles that fail."""
+    work, guard = unknown_work(scene), scene.guard
+    if guard.energy_gain == 0.0:
+        return "energy not watched: guard.energy_gain = 0"
+    if work is not None:
+        return f"energy not watched: nobody adds up the work of {work}"
+    return f"energy, every {guard.interval} steps: at most {guard.energy_gain:g} of what moves may come out of nothing"
 
 
 def law_text(law):
@@ -117,7 +131,7 @@ def compiled_kernels(scene, needs, ranks):
     layers = grid_geometry(scene, needs).layers
     cuts = needs.periodic[needs.slab_axis] or min(ranks, room(layers, needs.stencil.window)) > 1
     gravity, damped = any(scene.domain.gravity), scene.method.damping > 0.0
-    found = {label: law_entries(needs) for label in labels(needs.laws)}
+    found = {label: law_entries(needs, watches_energy(scene)) for label in labels(needs.laws)}
     found["walls"] = wall_entries(needs)
     found["shared"] = shared_entries(gravity, damped, cuts)
     return {who: names for who, names in found.items() if names}

@@ -12,7 +12,7 @@ class NumericalFailure(Exception):  # noqa: N818
 
 
 def describe(simulation, law, block, lane, cause):
-    """What there is to say about the first particle that failed here, first in the one global order of its law."""
+    """What there is to say about a particle that failed here; `cause`: a number of kernels.loops, or a text."""
     population, layout = simulation.populations[law], simulation.layouts[law]
     index = int(np.flatnonzero(population.lanes.ravel()).searchsorted(block * population.lanes.shape[1] + lane))
     x = simulation.derived_of(law, np.float64).x()[index]
@@ -32,6 +32,24 @@ def describe(simulation, law, block, lane, cause):
     }
 
 
+def stop_at_largest(simulation, values, cause):
+    """Raise NumericalFailure on all ranks for a cause that is none particle's own, naming the particle of the largest of
+    `values`, (n,) per law; of equals the first by law and then in the one global order. Collective."""
+    found = []
+    for law, of_particles in enumerate(values):
+        ranked = np.where(np.isnan(of_particles), np.inf, of_particles)
+        if len(ranked):
+            found.append((-float(ranked.max()), law, int(ranked.argmax())))
+    mine = min(found) if found else (math.inf, 0, 0)
+    told = simulation.comm.gather(mine[:2])
+    if found and told.index(min(told)) == simulation.comm.rank:
+        width = simulation.populations[mine[1]].lanes.shape[1]
+        place = int(np.flatnonzero(simulation.populations[mine[1]].lanes.ravel())[mine[2]])
+        block, lane = divmod(place, width)
+        simulation.failure = describe(simulation, mine[1], block, lane, cause)
+    simulation.stop(simulation.step_count + 1)
+
+
 def message(record):
     """One line a user can act on."""
     finite = all(math.isfinite(value) for value in record["velocity"])
@@ -42,7 +60,8 @@ def message(record):
         loops.CAUSE_LEFT: "it left the domain",
     }  # fmt: skip
     position = ", ".join(f"{value:.6g}" for value in record["position"])
+    cause = causes.get(record["cause"], record["cause"])
     return (
         f"step {record['step']}, t = {record['time']:.6g} s, rank {record['rank']}: particle {record['id']} of material "
-        f"{record['material']} at ({position}) m: {causes[record['cause']]} (velocity {record['velocity']} m/s)"
+        f"{record['material']} at ({position}) m: {cause} (velocity {record['velocity']} m/s)"
     )

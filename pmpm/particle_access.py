@@ -1,5 +1,7 @@
 """A user's view of the particles: arrays in metres and SI units, read as copies, written back by assigning."""
 
+import math
+
 import numpy as np
 
 from pmpm import readout
@@ -27,7 +29,8 @@ class Particles:
         simulation = self.simulation
         if not writable(simulation, name):
             raise AttributeError(f"particles.{name} cannot be assigned")
-        values = np.asarray(values).reshape(simulation.rows(), -1)
+        values, rows = np.asarray(values), simulation.rows()
+        values = values.reshape(rows, values.size // rows if rows else math.prod(values.shape[1:]))
         if name == "x":
             self.check_inside(values)
         in_order = np.empty_like(values)

@@ -32,8 +32,9 @@ class Beginning:
             seeded, simulation.geometry.axes[0], simulation.slabs, simulation.comm
         )  # of displaced bodies
         simulation.settle_in(seeded, arrived)
+        simulation.note_loads()
         simulation.changed_by_hand()
-        simulation.dt = simulation.control.choose(simulation.time)
+        simulation.dt = simulation.control.choose(simulation.time, simulation.drive.acceleration(simulation.time))
         estimate.refuse_steps(simulation.scene.time, simulation.dt)
 
 

@@ -50,14 +50,24 @@ class Control(Numbers):
 
     speed: Size
     wave: Size
+    force: Size
     travel: Size
     drift: Size
     drift_travel: Size
     regroup_travel: Size
     begun: Count
     regroup_step: Count
-    pending: Annotated[list[tuple[Count, Size, Size, Size, Size]], Field(max_length=8)]
+    pending: Annotated[list[tuple[Count, Size, Size, Size, Size, Size]], Field(max_length=8)]
     disorder: Disorder
+
+
+class Energy(Numbers):
+    """Of guard.EnergyWatch."""
+
+    unit: Size
+    first: int
+    active: int
+    pending: tuple[Count, int, int, int] | None
 
 
 class Record(Numbers):
@@ -70,6 +80,7 @@ class Record(Numbers):
     first_energy: float
     regroups: Count
     control: Control
+    energy: Energy | None
     travelled: list[list[Annotated[float, Field(allow_inf_nan=False)]]]
     counts: dict[str, tuple[Size, Count]]
     outputs: dict[str, Count]
@@ -102,6 +113,7 @@ def state(simulation, outputs=None):
         "first_energy": simulation.first_energy,
         "regroups": simulation.regroups,
         "control": simulation.control.state(),
+        "energy": simulation.energy_watch and simulation.energy_watch.state(),
         "travelled": [region.travelled.tolist() for region in simulation.drive.regions],
         "counts": {o.name: (o.seconds, o.count) for o in simulation.observers if o.name and o.seconds is not None},
         "outputs": outputs or {},
@@ -242,6 +254,11 @@ class Continuation:
         simulation.counts, simulation.outputs = dict(record.counts), dict(record.outputs)
         self.move_regions(simulation)
         simulation.control.resume(record.control.model_dump())
+        simulation.note_loads()
+        if simulation.energy_watch is not None and record.energy is not None:
+            simulation.energy_watch.resume(record.energy.model_dump())
+        elif simulation.energy_watch is not None:
+            simulation.energy_watch.begin(simulation.measure())
         if self.file.precision != simulation.scene.method.precision:
             simulation.regroup()  # what has been rounded may lie on the other side of a layer's end
         if self.changed or self.file.precision != simulation.scene.method.precision:

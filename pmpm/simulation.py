@@ -15,11 +15,11 @@ import time as clock
 
 import numpy as np
 
-from pmpm import failure, populate, readout, restart, restore
+from pmpm import failure, guard, populate, readout, restart, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
-from pmpm.kernels.loops import EMPTY_BOX, FARTHEST, SETTLED
+from pmpm.kernels.loops import EMPTY_BOX, FARTHEST, FORCES, SETTLED
 from pmpm.kernels.places import TRAVEL
 from pmpm.parallel import comm as communication
 from pmpm.parallel.halo import Halo
@@ -32,7 +32,7 @@ from pmpm.state.derived import PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
 from pmpm.state.grid import Patch
 from pmpm.state.particles import Loose, Population, assemble
-from pmpm.timestep import FAILED, REQUEST, StepControl
+from pmpm.timestep import FAILED, FORCE, LAG, REQUEST, SPEED, WAVE, StepControl
 from pmpm.watching import STOP, Observer, Timers, next_count, spread
 
 
@@ -66,6 +66,7 @@ class Simulation:
         self.dt = 0.0  # of the step just taken; before the first, of the one to come
         self.failed: list[tuple[int, int, int, int]] = []  # (law, block, lane, cause) in this step, first of each range
         self.failure: dict | None = None
+        self.energies_ready = False  # their kernels are compiled, or loaded, when the guard first asks for them
         self.regroups, self.sent = 0, np.zeros(self.comm.size, np.int64)
         self.timers = Timers()
         self.stretch = [0, 0.0]  # steps since this process began, and seconds spent on them without those who watch
@@ -79,7 +80,9 @@ class Simulation:
         self.control = StepControl(
             self.comm, scene.time, scene.domain.cell_size, self.dim, FARTHEST / 64, SETTLED / 64, TRAVEL
         )
+        self.smallest_step = guard.smallest_step(scene, self.needs, self.tables)
         self.first_energy = 0.0
+        self.energy_watch = guard.EnergyWatch(self) if guard.watches_energy(scene) else None
         source = source or populate.Beginning()
         self.cut(cut_evenly(source.count_per_layer(self), self.comm.size, self.needs.stencil.window))
         self.in_turn(self.warm_up_regroup)
@@ -188,13 +191,17 @@ class Simulation:
             image(nodes, boxes, *nothing, normal, normal)
 
     def fastest(self):
-        """(max |v|^2, max c^2) of this rank's particles; a particle that is not a number stops the run, not this."""
-        speed = wave = 0.0
+        """Maxima over this rank's particles in the order of what is reduced: |v|^2, c^2, |b|^2 of the body force; drift and
+        the rest are zero. A particle that is not a number stops the run, not this."""
+        found = np.zeros(FAILED)
         for derived in self.derived(self.real):
-            speeds, waves = derived.speed() ** 2, derived.wave_speed_squared()
-            speed = max(speed, float(speeds[np.isfinite(speeds)].max(initial=0.0)))
-            wave = max(wave, float(waves[np.isfinite(waves)].max(initial=0.0)))
-        return speed, wave
+            values = {SPEED: derived.speed() ** 2, WAVE: derived.wave_speed_squared()}
+            if self.needs.body_force is not None:
+                values[FORCE] = derived.body_force_squared(self.needs.body_force, self.time)
+            for kind, of_particles in values.items():
+                finite = of_particles[np.isfinite(of_particles)]
+                found[kind] = max(found[kind], float(finite.max(initial=0.0)))
+        return found
 
     def state(self, outputs=None):
         """All that it takes to go on from here, for a checkpoint. Collective. NumericalFailure as `check`."""
@@ -218,20 +225,41 @@ class Simulation:
         new places. Collective."""
         if moved is not None:
             self.regroup(loose=[Loose.of_rows(cloud) for cloud in moved])
-        self.control.begin(self.step_count, *self.fastest())
+        self.control.begin(self.step_count, self.fastest())
         self.take_energy()
 
     def take_energy(self):
         """Count dissipation from here."""
-        self.first_energy = readout.total_energy(self.measure())
+        measured = self.measure()
+        self.first_energy = readout.total_energy(measured)
+        if self.energy_watch is not None:
+            self.energy_watch.begin(measured)
+
+    def note_loads(self):
+        """Find the largest acceleration by loads. Collective."""
+        if self.needs.loaded:
+            found = (np.square(d.field("load")).sum(axis=1).max(initial=0.0) for d in self.derived(np.float64))
+            self.drive.largest_load = float(np.sqrt(self.comm.max(np.array([max(found)]))[0]))
 
     def check_fixed_step(self, error):
-        bound = self.control.exceeds()
-        if bound is not None:
-            raise error(
-                f"time.step = {self.control.fixed_step} s is longer than the stable step of {bound:.6g} s at "
-                f"t = {self.time:.6g} s: give a shorter step, or cfl instead"
-            )
+        """Raise for a fixed step beyond the stable one, unless the scene forces it."""
+        bound = self.control.exceeds(self.drive.acceleration(self.time))
+        if bound is not None and not self.control.forced:
+            raise error(f"{self.beyond_text(bound)}: give a shorter step, cfl instead, or time.force_step = true")
+
+    def beyond_text(self, bound):
+        return (
+            f"time.step = {self.control.fixed_step} s is longer than the stable step of {bound:.6g} s at "
+            f"t = {self.time:.6g} s"
+        )
+
+    def choose_step(self):
+        """dt of the next step in s. Raises NumericalFailure if it has fallen below what the scene allows."""
+        driven = self.drive.acceleration(self.time)
+        crawls = self.control.fixed_step is None and self.control.stable_step(driven) < self.smallest_step
+        if crawls and self.step_count >= self.control.begun + LAG:  # G2P first, which tells a state that is not valid
+            guard.stop_crawling(self, driven)
+        return self.control.choose(self.time, driven)
 
     # ---- one time step ----
 
@@ -242,13 +270,15 @@ class Simulation:
         if failed is not None:
             self.stop(failed)
         self.check_fixed_step(NumericalFailure)
-        dt = self.control.choose(self.time)
+        dt = self.choose_step()
         if self.control.regroup_due(self.step_count + 1, dt):
             self.regroup()
         self.advance(self.real(dt))
         self.step_count += 1
         end = self.scene.time.end
         self.dt, self.time = dt, end if dt == end - self.time else self.time + dt
+        if self.energy_watch is not None:
+            began += self.look_at_energy(self.energy_watch)
         self.stretch[0] += 1
         self.stretch[1] += clock.perf_counter() - began
         self.call_observers()
@@ -257,6 +287,7 @@ class Simulation:
         now = clock.perf_counter()
         extremes = np.zeros(REQUEST + 1)
         extremes[FAILED] = -math.inf
+        self.kernels.scratch[FORCES:] = 0.0
         self.failed.clear()
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
         self.drive.start(self.time)
@@ -264,6 +295,7 @@ class Simulation:
             self.keep_velocities(dt)
             now = self.timers.add("p2g before", now)
         runs = self.scatter(0, layers, dt)
+        extremes[FORCE] = self.kernels.scratch[FORCES:].max()
         self.control.disorder.start(self.step_count + 1, runs, self.held)
         now = self.timers.add("p2g", now)
         posted = self.halo.start()
@@ -304,6 +336,26 @@ class Simulation:
         self.drive.finish(dt)
         self.control.start(self.step_count + 1, float(dt), extremes)
         self.timers.add("g2p", began)
+
+    def look_at_energy(self, watch):
+        """Let the guard see the energy when it is due; returns the seconds that its kernels took to compile."""
+        compiling = 0.0
+        if watch.due(self.step_count) and not self.energies_ready:
+            began = clock.perf_counter()
+            self.in_turn(lambda: self.energies(0))
+            self.energies_ready, compiling = True, clock.perf_counter() - began
+        watch.after(self)
+        return compiling
+
+    def energies(self, layers=None):
+        """(layers, 3) J kinetic, strain and potential energy of this rank's particles in each of its layers."""
+        layers = self.last_layer - self.first_layer if layers is None else layers
+        found, gravity = np.zeros((layers, 3)), self.drive.gravity.astype(self.real)
+        for kernel, p, table in zip(self.kernels.sum_energies, self.populations, self.kernel_tables, strict=True):
+            kernel(
+                p.reals, p.places, p.segments, p.layer_start, layers, table, self.dx, self.first_layer, gravity, found,
+            )  # fmt: skip
+        return found
 
     def keep_velocities(self, dt):
         """Fill the grid without impulses and keep its velocities: what a blend takes from those after the step.
@@ -415,7 +467,7 @@ class Simulation:
                 self.patch.before, self.blend, self.patch.divergences, self.first_layer, self.limits, self.ends,
                 kernels.scratch, kernels.first_nodes, kernels.constants, dt, self.dx, self.inv_dx, failure,
             )  # fmt: skip
-            np.maximum(extremes[:FAILED], found, out=extremes[:FAILED])
+            np.maximum(extremes[:FORCE], found, out=extremes[:FORCE])
             if failure[0]:
                 cause, block, lane = map(int, failure)
                 self.failed.append((number, block, lane, cause))
@@ -543,14 +595,17 @@ class Simulation:
     @property
     def notes(self):
         """What a user should know about this run before it begins, one line each."""
-        space = room(self.geometry.layers, self.needs.stencil.window)
+        space, found = room(self.geometry.layers, self.needs.stencil.window), []
         idle = self.comm.size - space
-        if idle <= 0:
-            return []
-        return [
-            f"warning: {idle} of {self.comm.size} ranks stay idle: {self.geometry.layers} layers along "
-            f"{'xyz'[self.geometry.axes[0]]} have room for {space} ranks of at least {self.needs.stencil.window} layers"
-        ]
+        if idle > 0:
+            found.append(
+                f"warning: {idle} of {self.comm.size} ranks stay idle: {self.geometry.layers} layers along "
+                f"{'xyz'[self.geometry.axes[0]]} have room for {space} ranks of at least {self.needs.stencil.window} layers"
+            )
+        bound = self.control.exceeds(self.drive.acceleration(self.time))
+        if bound is not None:
+            found.append(f"warning: {self.beyond_text(bound)}, and forced")
+        return found
 
     def report(self):
         """What run.json says about the run; collective."""

@@ -1,8 +1,11 @@
 """How long the next step may be, and whether particles may have used up the padding of their layers.
 
-The bound (Sun, Shinar, Schroeder 2020; quadratic splines): dt = cfl min(dx / (c sqrt(d))), with the largest current wave
-speed c, and dt <= MOVE dx / max|v|. Maxima over all ranks come from a reduction that was started LAG steps ago, so that no
-step waits for it; what a particle may move meanwhile is covered by the padding.
+Three bounds, of which the shortest counts:
+  cfl dx / (c sqrt(d))    c the largest current wave speed, with viscosity (Sun, Shinar, Schroeder 2020; quadratic splines)
+  MOVE dx / max|v|        what a particle moves; |grad v| dt stays below 1 too: splines give at most 2 max|v_i| / dx
+  sqrt(MOVE dx / max|a|)  what gravity, loads and body force let a particle at rest move
+Maxima over all ranks come from a reduction that was started LAG steps ago, so that no step waits for it; what a particle may
+move meanwhile is covered by the padding.
 """
 
 import math
@@ -20,9 +23,19 @@ RUN_COST, REGROUP_COST = (
     75,
 )  # ns of one more run, and of a regroup per particle: estimates for one core of an AVX-512 Xeon
 MARGIN = 1.5  # growth of the largest speed that is allowed for between two reductions
-# What is reduced: max |v|^2, max c^2, max drift in cells, minus the failed step, and what a rank has been asked for.
-SPEED, WAVE, DRIFT, FAILED, REQUEST = range(5)
-NUMBERS = ("speed", "wave", "travel", "drift", "drift_travel", "regroup_travel")  # of StepControl, beside its counts
+# What is reduced: max |v|^2, max c^2, max drift in cells, max |b|^2 of the body force, minus the failed step, and what a rank
+# has been asked for.
+SPEED, WAVE, DRIFT, FORCE, FAILED, REQUEST = range(6)
+BOUNDS = ("waves", "speed", "acceleration")
+NUMBERS = (
+    "speed",
+    "wave",
+    "force",
+    "travel",
+    "drift",
+    "drift_travel",
+    "regroup_travel",
+)  # of StepControl, beside its counts
 COUNTS = ("begun", "regroup_step")
 
 
@@ -92,38 +105,41 @@ class StepControl:
 
     def __init__(self, comm, time, cell_size, dim, farthest, settled_drift, most_travel):
         self.comm, self.cell_size, self.dim = comm, cell_size, dim
-        self.cfl, self.fixed_step, self.end = time.cfl, time.step, time.end
+        self.cfl, self.fixed_step, self.forced, self.end = time.cfl, time.step, time.force_step, time.end
         self.farthest, self.settled_drift, self.most_travel = farthest, settled_drift, most_travel
         self.pending: deque[Pending] = deque()
         self.disorder = Disorder(comm)
         self.travel = 0.0
         self.regrouped(0)
         self.begun = self.asked = 0
-        self.speed = self.wave = 0.0
+        self.speed = self.wave = self.force = 0.0
 
-    def begin(self, step, speed_squared, wave_squared):
-        """Take the maxima over all ranks of a state that no step has made, before the step after `step`."""
+    def begin(self, step, maxima):
+        """Take the maxima over the particles of this rank, in the order of what is reduced, of a state that no step has made,
+        before the step after `step`. Collective."""
         self.begun = step
-        self.learn(self.comm.max(np.array([speed_squared, wave_squared], np.float64)))
+        self.learn(self.comm.max(maxima))
 
     def learn(self, values):
-        self.speed, self.wave = math.sqrt(values[SPEED]), math.sqrt(values[WAVE])
+        self.speed, self.wave, self.force = (math.sqrt(values[kind]) for kind in (SPEED, WAVE, FORCE))
 
-    def stable_step(self):
-        """The largest allowed step in s for cfl = 1 in the waves and MOVE in the speed."""
-        by_waves = self.cell_size / (self.wave * math.sqrt(self.dim)) if self.wave > 0 else math.inf
-        by_speed = MOVE * self.cell_size / self.speed if self.speed > 0 else math.inf
-        return by_waves, by_speed
+    def bounds(self, driven):
+        """The longest step in s by each of BOUNDS; `driven`: acceleration by gravity and loads, m/s2."""
+        return stable_bounds(self.cell_size, self.dim, self.wave, self.speed, driven + self.force)
 
-    def choose(self, time):
+    def stable_step(self, driven):
+        """The step in s that cfl and the bounds allow."""
+        waves, *others = self.bounds(driven)
+        return min(self.cfl * waves, *others)
+
+    def choose(self, time, driven):
         """dt of the next step in s."""
-        by_waves, by_speed = self.stable_step()
-        dt = self.fixed_step if self.fixed_step is not None else min(self.cfl * by_waves, by_speed)
+        dt = self.fixed_step if self.fixed_step is not None else self.stable_step(driven)
         return min(dt, self.end - time) if self.end - time > 0 else dt
 
-    def exceeds(self):
-        """The stable step in s if the user's fixed step is longer than it, else None."""
-        bound = min(self.stable_step())
+    def exceeds(self, driven):
+        """The longest stable step in s if the user's fixed step is longer than it, else None."""
+        bound = min(self.bounds(driven))
         return bound if self.fixed_step is not None and self.fixed_step > bound else None
 
     def move_bound(self, dt):
@@ -155,7 +171,7 @@ class StepControl:
         arrived = self.pending.popleft()
         arrived.arrived(self.comm)
         self.asked = max(self.asked, int(arrived.values[REQUEST]))
-        if arrived.step > self.begun and np.isfinite(arrived.values[:DRIFT]).all():
+        if arrived.step > self.begun and np.isfinite(arrived.values[:FAILED]).all():
             self.learn(arrived.values)
         if arrived.step > self.regroup_step:
             self.drift, self.drift_travel = arrived.values[DRIFT], arrived.travel
@@ -185,6 +201,15 @@ class StepControl:
             for step, travel, *found in state["pending"]
         )
         self.disorder.resume(state["disorder"])
+
+
+def stable_bounds(cell_size, dim, wave, speed, acceleration):
+    """The longest step in s by each of BOUNDS, for cfl = 1; infinite where nothing bounds it. In m, m/s and m/s2."""
+    return (
+        cell_size / (wave * math.sqrt(dim)) if wave > 0.0 else math.inf,
+        MOVE * cell_size / speed if speed > 0.0 else math.inf,
+        math.sqrt(MOVE * cell_size / acceleration) if acceleration > 0.0 else math.inf,
+    )
 
 
 def failed_step(reduction):

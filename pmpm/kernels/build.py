@@ -34,7 +34,7 @@ class Kernels:
     """Entry kernels, and what the lanes work in.
 
     Per law p2g and g2p, p2g without impulses for schemes that blend velocities, p2g of the divergence and what measures it for
-    F-bar; `shared` by name; walls and images by wall type.
+    F-bar, what sums energies for the guard; `shared` by name; walls and images by wall type.
     """
 
     p2g: tuple[Any, ...]
@@ -42,6 +42,7 @@ class Kernels:
     p2g_before: tuple[Any, ...]
     p2g_divergence: tuple[Any, ...]
     measure_divergence: tuple[Any, ...]
+    sum_energies: tuple[Any, ...]
     shared: dict[str, Any]
     walls: dict[str, Any]
     images: dict[str, Any]
@@ -63,17 +64,19 @@ class Kernels:
             **{f"p2g before {i}": kernel for i, kernel in enumerate(self.p2g_before)},
             **{f"p2g divergence {i}": kernel for i, kernel in enumerate(self.p2g_divergence)},
             **{f"divergence {i}": kernel for i, kernel in enumerate(self.measure_divergence)},
+            **{f"energies {i}": kernel for i, kernel in enumerate(self.sum_energies)},
             **self.shared,
             **{f"wall {name}": kernel for name, kernel in self.walls.items()},
             **{f"image {name}": kernel for name, kernel in self.images.items()},
         }
 
 
-def law_entries(needs):
-    """Names of the entries that each law has of its own, as in `Kernels.entries` without the law's number."""
+def law_entries(needs, guarded):
+    """Names of the entries that each law has of its own, as in `Kernels.entries` without the law's number; `guarded`: the
+    energy of the run is watched."""
     blended = ["p2g before"] if needs.scheme.blends else []
     averaged = ["p2g divergence", "divergence"] if needs.f_bar else []
-    return ["p2g", "g2p", *blended, *averaged]
+    return ["p2g", "g2p", *blended, *averaged, *(["energies"] if guarded else [])]
 
 
 def wall_entries(needs):
@@ -233,7 +236,7 @@ def build(needs, layouts, parameter_counts, kind):
     own = lane_choices(needs) if module is lane_loops else scalar_choices(needs)
     scene = scene_choices(needs)
     general = targets.scalar(real, **scene)
-    p2g, g2p, p2g_before, p2g_divergence, measure_divergence = [], [], [], [], []
+    p2g, g2p, p2g_before, p2g_divergence, measure_divergence, sum_energies = [], [], [], [], [], []
     for law, layout, count in zip(needs.laws, layouts, parameter_counts, strict=True):
         of_law = law_choices(law, layout, count, module.FIELD_TUPLES, np.dtype(real))
         target = make(real, **scene, **own, **of_law, IMPULSE=True, BY_GRADIENT=not needs.scheme.mls)
@@ -247,6 +250,9 @@ def build(needs, layouts, parameter_counts, kind):
             of_particles = make(real, **(scene | own | of_law | {"MLS": False, "BY_INERTIA": False}))
             measure_divergence.append(of_particles.entry(module.measure_divergence))
         g2p.append(target.entry(module.g2p))
+        of_law |= law_choices(law, layout, count, scalar_loops.FIELD_TUPLES, np.dtype(real))
+        sums = targets.scalar(real, **scene, **scalar_choices(needs), **of_law)
+        sum_energies.append(sums.entry(scalar_loops.sum_energies))
     walls, images = {}, {}
     for name in sorted(set(needs.wall_types) & set(WALLS)):
         wall, image, two_sided = WALLS[name]
@@ -263,6 +269,7 @@ def build(needs, layouts, parameter_counts, kind):
         tuple(p2g_before),
         tuple(p2g_divergence),
         tuple(measure_divergence),
+        tuple(sum_energies),
         shared,
         walls,
         images,

@@ -39,6 +39,7 @@ from pmpm.kernels.loops import (
     CAUSE_STATE,
     DENSITY_COLUMN,
     FARTHEST,
+    FORCES,
     FRACTION,
     MASS_COLUMN,
     NOWHERE,
@@ -85,7 +86,7 @@ QUAD_F_SLAB, QUAD_F_MIDDLE, QUAD_F_ROW = 656, 720, 784
 GATHERED, GRADIENTS = 400, 656
 BEFORE, DIVERGENCES, CAUSES = 912, 1168, 1424
 AHEAD, LINE, LINES = 2, 8, 2  # blocks fetched ahead; reals of a cache line; lines per particle
-SCRATCH = 1440
+SCRATCH = FORCES + 16
 # Of the constants of a row: distances of its nodes, origins, then the coefficients of weights and slopes.
 ROW_DISTANCE, ROW_ORIGIN, ROW_WEIGHT, ROW_SLOPE = 0, 16, 32, 96
 CONSTANTS = 160
@@ -462,9 +463,9 @@ along_first = along_first_2
 
 
 def momentum_block(
-    reals, o, table, mass, volume0, params, dt, dx, inv_dx, places, base, time, load_factor,
+    reals, o, table, mass, volume0, params, dt, dx, inv_dx, places, base, time, load_factor, count,
 ):  # fmt: skip
-    """What the 16 particles of a block give, as quads of one vector per particle."""
+    """What the 16 particles of a block, of which the first `count` are there, give: quads of one vector per particle."""
     v = load_vector(reals, o + 16 * V_FIELD)
     if IMPULSE:
         state = load_state(reals, o + 16 * STATE_FIELD)
@@ -473,7 +474,9 @@ def momentum_block(
             tau = la.add_symmetric(tau, law.viscous_stress(state, load_matrix(reals, o + 16 * C_FIELD), params))
         if FORCED:
             x, X = position_of(places, o, base, dx), load_vector(reals, o + 16 * REFERENCE_FIELD)
-            v = la.add_scaled_vector(v, dt, body_force(x, X, time))
+            b = body_force(x, X, time)
+            v = la.add_scaled_vector(v, dt, b)
+            store(table, FORCES, max(load(table, FORCES), where(lanes_below(count), la.dot(b, b), real(0.0))))
         if LOADED:
             v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, o + 16 * LOAD_FIELD))
     if DIVERGENCE:
@@ -525,6 +528,7 @@ def p2g(
                 lowest_row, highest_row = min(lowest_row, r), max(highest_row, r)
                 momentum_block(
                     values, o, scratch, mass, volume0, params, dt, dx, inv_dx, where_from, base, time, load_factor,
+                    min(left, 16),
                 )  # fmt: skip
                 for lane in range(min(left, 16)):
                     for line in range(LINES):

@@ -11,6 +11,7 @@ from pmpm.kernels.loops import (
     CAUSE_STATE,
     DENSITY_COLUMN,
     FARTHEST,
+    FORCES,
     FRACTION,
     MASS_COLUMN,
     NOWHERE,
@@ -19,6 +20,7 @@ from pmpm.kernels.loops import (
     VOLUME_COLUMN,
     centre_of,
     fold_layer,
+    load_normal,
     load_parameters,
     momentum_at,
     node_of_axis,
@@ -188,7 +190,9 @@ def p2g(
                         base = node_of_segment(layer_node + layer, segments[s, 3], segments[s, 4])
                         x = cells_to_metres(along_axes(cells_of, place), base, dx)
                         X = load_vector(reals, block, REFERENCE_FIELD, lane)
-                        v = la.add_scaled_vector(v, dt, body_force(x, X, time))
+                        b = body_force(x, X, time)
+                        v = la.add_scaled_vector(v, dt, b)
+                        scratch[FORCES] = max(scratch[FORCES], la.dot(b, b))
                     if LOADED:
                         v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, block, LOAD_FIELD, lane))
                 if DIVERGENCE:
@@ -339,4 +343,24 @@ def measure_divergence(
                             weight, d, slope = stencil_node(w, dw, g, a, b, c)
                             divergence += la.dot(momentum_at(nodes, i0 + a, j0 + b, k0 + c), slope)
                 reals[block, DIVERGENCE_FIELD, lane] = divergence * inv_dx
+    restore_denormals(before)
+
+
+def sum_energies(
+    reals, places, segments, layer_start, layers, table, dx, layer_node, gravity, energies,
+):  # fmt: skip
+    """Add kinetic, strain and potential energy of the particles of each layer to its row of `energies`, which is float64."""
+    before = flush_denormals()
+    for layer in range(layers):
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            row = segments[s, 2]
+            mass, volume0, params = table[row, MASS_COLUMN], table[row, VOLUME_COLUMN], load_parameters(table, row)
+            base = node_of_segment(layer_node + layer, segments[s, 3], segments[s, 4])
+            for n in range(segments[s, 1]):
+                block, lane = segments[s, 0] + (n >> 4), n & 15
+                v = load_vector(reals, block, V_FIELD, lane)
+                energies[layer, 0] += 0.5 * mass * la.dot(v, v)
+                energies[layer, 1] += volume0 * law.energy(load_state(reals, block, STATE_FIELD, lane), params)
+                x = cells_to_metres(along_axes(cells_of, load_vector(places, block, 0, lane)), base, dx)
+                energies[layer, 2] -= mass * la.dot(x, load_normal(gravity))
     restore_denormals(before)

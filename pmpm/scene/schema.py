@@ -29,6 +29,7 @@ FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "densit
 CFL = 0.4
 DEPTHS = 16  # at which a stress is tried
 FLIP_BLEND = 0.99
+ENERGY_GAIN = 0.5
 SNAPSHOTS, DIAGNOSTICS = 50, 200
 WALL_INTERVAL = 1800.0
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
@@ -213,6 +214,13 @@ class Time(Part):
         default=None, description=f"fraction of the stable step, {CFL} unless step is given"
     )
     step: Annotated[float | None, number("s", above=0.0)] = Field(default=None, description="a fixed step (s)")
+    force_step: Annotated[bool, flag()] = Field(
+        default=False, description="take the fixed step although it is longer than the stable one"
+    )
+    smallest_step: Annotated[float | None, number("s", above=0.0)] = Field(
+        default=None,
+        description="the run stops when the stable step falls below this, 1e-4 of the first step if not given (s)",
+    )
     ramp: Annotated[float, number("s", at_least=0.0)] = Field(
         default=0.0, description="time over which gravity and loads grow from nothing to all of them (s)"
     )
@@ -222,6 +230,10 @@ class Time(Part):
         """Fill in cfl unless a fixed step is asked for."""
         if self.step is not None and self.cfl is not None:
             raise Problems(Problem(("step",), f"s excludes cfl = {self.cfl}: give one of the two", self.step))
+        if self.step is None and self.force_step:
+            raise Problems(Problem(("force_step",), "belongs to a fixed step: give time.step", self.force_step))
+        if self.step is not None and self.smallest_step is not None:
+            raise Problems(Problem(("smallest_step",), "s belongs to steps that follow from cfl", self.smallest_step))
         if self.step is None and self.cfl is None:
             settle(self, cfl=CFL)
         return self
@@ -277,12 +289,18 @@ class Output(Part):
 
 
 class Guard(Part):
-    """What is kept for the case that the run goes wrong."""
+    """What a run is watched for, and what is kept for the case that it goes wrong."""
 
     keep_copy: Annotated[bool, flag()] = Field(
         default=False, description="keep a copy of the state in memory, written as a checkpoint if the run fails"
     )
-    interval: Annotated[int, whole(1, 1_000_000)] = Field(default=100, description="steps between copies")
+    energy_gain: Annotated[float, number(at_least=0.0)] = Field(
+        default=ENERGY_GAIN,
+        description="the run stops when more energy than this part of what moves has come out of nothing; 0: never",
+    )
+    interval: Annotated[int, whole(1, 1_000_000)] = Field(
+        default=100, description="steps between two looks at the energy, and between copies"
+    )
 
 
 def material_table(value: Any) -> Any:
@@ -324,7 +342,7 @@ class Scene(Part):
         description="functions of (X, t), from Python: the exact solution, against which errors are measured",
     )
     output: Output = Field(default=Output(), description="table of what is written")
-    guard: Guard = Field(default=Guard(), description="table of what is kept for the case that the run goes wrong")
+    guard: Guard = Field(default=Guard(), description="table of what a run is watched for")
 
     @classmethod
     def from_text(cls, text: str, source: str = "scene", overrides: Mapping[str, Any] | None = None) -> "Scene":

@@ -91,6 +91,13 @@ class DerivedFields:
         return self.call(stability.signal_speed_squared, self.params, self.row_values[:, DENSITY],
                          self.real(1.0 / self.geometry.cell_size))  # fmt: skip
 
+    def body_force_squared(self, force, time):
+        """(n,) |b|^2 in m2/s4 of a function b(x, X, t)."""
+        x, X = self.x().astype(self.real), self.field("X")
+        with np.errstate(all="ignore"):
+            b = self.target.compile(force)(tuple(x.T), tuple((x if X is None else X).T), self.real(time))
+            return sum((np.asarray(along) ** 2 for along in b), np.zeros(len(x)))
+
     def spin(self):
         """(n, dim, dim) C D in m2/s, with the angular momentum of the affine field (Jiang et al. 2015, section 5.3)."""
         dim, C = self.geometry.dim, self.field("C")

@@ -93,6 +93,7 @@ def scenes(draw, row=None, telling=0):
         table["motions"] = [draw(motion(cells, h)) for _ in range(draw(st.integers(0, 2)))]
     if draw(st.booleans()):
         table["guard"] = {"keep_copy": draw(st.booleans()), "interval": draw(st.sampled_from((1, 2, 100)))}
+        table["guard"]["energy_gain"] = draw(st.sampled_from((0.0, 0.5, 1e300)))
     return pruned(table)
 
 
@@ -167,6 +168,9 @@ def time(draw, h):
         table["cfl"] = draw(between(0.01, 0.9))
     elif kind == "step":
         table["step"] = h * draw(st.sampled_from((1e-3, 1e-4)))
+        table["force_step"] = draw(st.booleans())
+    if kind != "step" and draw(st.booleans()):
+        table["smallest_step"] = draw(st.sampled_from((1e-300, 1e-12)))
     return table
 
 

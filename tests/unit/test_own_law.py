@@ -17,6 +17,7 @@ from pmpm.physics.words import where
 from pmpm.run import run_scene
 from pmpm.scene.errors import NotBuilt
 from pmpm.scene.materials import material
+from pmpm.timestep import WAVE
 
 MU, LAM = 4e3, 6e3
 
@@ -129,7 +130,7 @@ def test_a_state_that_the_law_calls_invalid_stops_the_run():
 
 def test_the_wave_speed_of_a_law_sets_the_step():
     law = pmpm.Law(rubber, wave_speed=sound)
-    assert pmpm.Simulation(scene(law)).fastest()[1] == pytest.approx(((2.0 * MU + 2.0 * LAM) / 1000.0) ** 2)
+    assert pmpm.Simulation(scene(law)).fastest()[WAVE] == pytest.approx(((2.0 * MU + 2.0 * LAM) / 1000.0) ** 2)
     assert "has a wave_speed function that gives" in refusal(law, density=1e6)
     assert "does not go with the wave_speed function of rubber" in refusal(law, sound_speed=99.0)
 
