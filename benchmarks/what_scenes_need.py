@@ -68,7 +68,7 @@ def facts():
         f"rubber hold F ({solid['F']} bytes), {total(fluid)} bytes in all.",
         f"Nor does it change the rubber: {total(alone)} bytes per particle without water, {total(solid)} with it. Both share "
         f"only {', '.join(shared)}.",
-        f"It adds {more} kernels, the p2g and g2p of the water, to the {kernel_count(rubber)} that are there.",
+        f"It adds {more} kernels, the p2g, g2p and energies of the water, to the {kernel_count(rubber)} that are there.",
         f"PIC carries no affine field C: {total(pic)} bytes for water instead of {total(plain)}. Viscous stress follows from "
         f"C, so that viscous water has it with PIC, too ({total(viscous)} bytes).",
         f"F-bar adds one number, {averaged['divergence']} bytes, and two kernels per law; X, a reference position, is there "

@@ -113,10 +113,10 @@ def test_check_names_the_optional_fields_that_are_left_out(label, absent):
 
 # Scenes whose kernels other tests compile, too.
 RUN = {
-    "water": scene(WATER),
+    "water": scene(WATER, guard={"interval": 2}),
     "several laws, a periodic slab axis": several_laws.flat(),
     "no gravity, no viscosity, pic": scene(
-        WATER, domain={"size": [0.8, 0.2], "cell_size": 0.02}, **method(transfer="pic")
+        WATER, domain={"size": [0.8, 0.2], "cell_size": 0.02}, guard={"interval": 2}, **method(transfer="pic")
     ),
 }
 
@@ -160,9 +160,10 @@ def test_particles_have_no_field_that_no_law_keeps():
 @pytest.mark.parametrize(
     ("more", "entries"),
     [
-        ({}, ["p2g", "g2p"]),
-        (method(transfer="flip"), ["p2g", "g2p", "p2g before"]),
-        (method(f_bar=True), ["p2g", "g2p", "p2g divergence", "divergence"]),
+        ({}, ["p2g", "g2p", "energies"]),
+        ({"guard": {"energy_gain": 0.0}}, ["p2g", "g2p"]),
+        (method(transfer="flip"), ["p2g", "g2p", "p2g before", "energies"]),
+        (method(f_bar=True), ["p2g", "g2p", "p2g divergence", "divergence", "energies"]),
     ],
 )
 def test_a_law_has_the_kernels_that_its_scene_needs_and_no_other(more, entries):
