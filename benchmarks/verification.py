@@ -19,13 +19,16 @@ from dataclasses import asdict
 from pathlib import Path
 
 import verification_page
-from cases import SIZES, Check, Plot, Table, bar, mms, rigid, vortex
+from cases import (
+    SIZES, Check, Plot, Table, bar, blocks, cantilever, column, dam_break, incline, mms, pile, ranks, rigid, shock, vortex,
+)  # fmt: skip
 from laws import machine
 
 from pmpm.failure import NumericalFailure
 from pmpm.parallel.comm import from_launcher
 
-CASES = (mms.CASE, vortex.CASE, bar.CASE, rigid.CASE)  # in the order of the page
+ORDER = (mms, vortex, bar, column, shock, rigid, incline, cantilever, dam_break, blocks, pile, ranks)  # of the page
+CASES = tuple(family.CASE for family in ORDER)
 KINDS = {"check": Check, "table": Table, "plot": Plot}
 
 
