@@ -136,9 +136,9 @@ def energy(simulation, measured):
     return measured["kinetic"] + measured["strain"] + affine
 
 
-def bits(simulation):
-    """A hash of all particles of all ranks in the one global order, None but on rank 0."""
-    rows = simulation.fields(["id", "x", "velocity", "deformation_gradient"])
+def bits(simulation, names=("id", "x", "velocity", "deformation_gradient")):
+    """A hash of these fields of all particles of all ranks in the one global order. Collective."""
+    rows = simulation.fields(names)
     arrived = [simulation.comm.gather(values) for values in rows.values()]
     text = b"".join(np.concatenate(values).tobytes() for values in arrived)
     return hashlib.sha256(text).hexdigest()
@@ -203,14 +203,19 @@ def run_as_a_rank(path):
         path.write_text(json.dumps(hashes), encoding="utf-8")
 
 
+def mpirun():
+    """The launcher beside this Python, else on the path; None without one."""
+    return shutil.which("mpirun", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}")
+
+
 def hashes_of_two_ranks():
     """{row: hash, "row crossings": number} of two ranks; empty without mpirun."""
-    mpirun = shutil.which("mpirun", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}")
-    if mpirun is None:
+    launcher = mpirun()
+    if launcher is None:
         return {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hashes.json"
-        subprocess.run([mpirun, "-n", "2", sys.executable, __file__, "--as-rank", str(path)], check=True)
+        subprocess.run([launcher, "-n", "2", sys.executable, __file__, "--as-rank", str(path)], check=True)
         return json.loads(path.read_text(encoding="utf-8"))
 
 

@@ -79,9 +79,9 @@ def verify(size, comm):
 
 
 ABOUT = """
-Two equal blocks meet off each other's axis at 0.1 c each, deform, turn and part. Before the first step the momentum is 0 to the
-last bit: totals are sums without rounding. Later it cannot be: a node adds up its particles layer by layer from one side, an
-order that no mirror image shares, so that round-off differs left and right. Asked is 1e-13, as of free bodies.
+Two equal blocks meet off each other's axis at 0.1 c each, deform, turn and part. Before the first step the momentum is 0 to
+the last bit: totals are sums without rounding. Later it cannot be: a node adds up its particles layer by layer from one
+side, an order that no mirror image shares, so that round-off differs left and right. Asked is 1e-13, as of free bodies.
 """
 
 CASE = Case("V10", "Two equal blocks collide", ABOUT, verify)

@@ -24,7 +24,7 @@ LENGTH = SLENDERNESS * HEIGHT
 PERIOD = 2.0 * math.pi * (LENGTH / 1.875104) ** 2 * math.sqrt(DENSITY * HEIGHT / (PLANE_MODULUS * SECOND_MOMENT))
 
 
-def elastica(alpha, steps=2000):
+def elastica(alpha, steps=200):
     """(deflection, shortening) of the end over L: theta by shooting for the angle of the end, with Runge and Kutta's method."""
 
     def slope(state):
@@ -116,11 +116,11 @@ def verify(size, comm):
 
 
 ABOUT = """
-A beam in plane strain, L / h = 20, E = 1 MPa, nu = 0.3, clamped by a wall that sticks, under a dead load P on its last column of
-particles, from the straight state at once: two periods of the first bending mode under its critical damping.
-theta'' = -alpha cos theta, alpha = P L^2 / (E' I), E' = E / (1 - nu^2), for the angle theta of an inextensible axis; with shear
-such a beam bends by 3 E' I / (kappa G A L^2) = 0.2 % more. A run takes 2e4 steps per cell of the height: size tiny solves
-the elastica alone.
+A beam in plane strain, L / h = 20, E = 1 MPa, nu = 0.3, clamped by a wall that sticks, under a dead load P on its last
+column of particles, from the straight state at once: two periods of the first bending mode under its critical damping.
+theta'' = -alpha cos theta, alpha = P L^2 / (E' I), E' = E / (1 - nu^2), for the angle theta of an inextensible axis; with
+shear such a beam bends by 3 E' I / (kappa G A L^2) = 0.2 % more. A run takes 2e4 steps per cell of the height: size tiny
+solves the elastica alone.
 """
 
 CASE = Case("V8", "Cantilever: static elastica", ABOUT, verify)

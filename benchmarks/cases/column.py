@@ -247,9 +247,9 @@ def verify_severe(cells, comm, rows):
 
 
 ABOUT = """
-A column between slip walls under its own weight. All that a material point carries is what lies above it,
-P_yy(F(X)) = -rho0 g (L - X), and y is the integral of F; exact at any strain (laws' stresses and F in `cases/column.py`, which
-uses nothing of pmpm). Gravity grows over two periods T = 4 L / c, in five more critical damping brings the column to rest.
+A column between slip walls under its own weight. All that a material point carries is what lies above it, P_yy(F(X)) =
+-rho0 g (L - X), and y is the integral of F; exact at any strain (laws' stresses and F in `cases/column.py`, which uses
+nothing of pmpm). Gravity grows over two periods T = 4 L / c, in five more critical damping brings the column to rest.
 
 | column | E, Pa | nu | rho0 | g | L, m | height: neo-Hookean | fixed corotated | Hencky |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |
@@ -260,10 +260,11 @@ uses nothing of pmpm). Gravity grows over two periods T = 4 L / c, in five more 
 Orders are asked where particles stay in their cells (`faint`: E = 1e8 Pa), bounds of the other columns. There particles end
 where the quadrature of internal forces is inexact (Steffen, Kirby, Berzins, Int. J. Numer. Meth. Eng. 76 (2008) 922): the
 stress errs by the same part of itself at any cell size, 1 % at 7 % strain and 3 % at 27 %, and heights converge with first
-order or not at all. The path matters less: `from rest` starts in the exact state and has the same errors of the stress. MLS forces, more particles per cell and above all cubic splines make them smaller.
+order or not at all. The path matters less: `from rest` starts in the exact state and has the same errors of the stress. MLS
+forces, more particles per cell and above all cubic splines make them smaller.
 
-A fixed corotated solid carries at most lam + 2 mu in compression. Its severe column has no equilibrium and falls into a heap of
-J near zero, finite and at rest. The law allows that state, so nothing stops the run, and no message tells of it.
+A fixed corotated solid carries at most lam + 2 mu in compression. Its severe column has no equilibrium and falls into a
+heap of J near zero, finite and at rest. The law allows that state, so nothing stops the run, and no message tells of it.
 """
 
 CASE = Case("V4", "Column under its own weight", ABOUT, verify)

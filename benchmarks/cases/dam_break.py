@@ -47,8 +47,9 @@ def verify(size, comm):
 
 
 ABOUT = """
-The built-in scene `dam_break`: front within -5 % and +20 % of the experiment from T* = 1.9 on, slope dZ/dT* in 1.55 .. 1.85 over
-T* = 3 .. 5.3, both within 3 % of those of half the cell size. Finer grids and the measurements: [dam break](dam_break.md).
+The built-in scene `dam_break`: front within -5 % and +20 % of the experiment from T* = 1.9 on, slope dZ/dT* in 1.55 .. 1.85
+over T* = 3 .. 5.3, both within 3 % of those of half the cell size. Finer grids and the measurements: [dam
+break](dam_break.md).
 """
 
 CASE = Case("V9", "Dam break", ABOUT, verify)

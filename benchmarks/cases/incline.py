@@ -127,14 +127,15 @@ def verify(size, comm):
 
 
 ABOUT = """
-A block of 0.1 x 0.05 m (E = 1 MPa, nu = 0.3, rho0 = 1000, N cells along its height, cfl 0.5) on a plane inclined by 24 degrees:
-gravity is tilted. A rigid block slides by s = g t^2 (sin theta - mu cos theta) / 2. Here gravity is there at once and the block
-bounces; while it hardly moves along the plane the wall takes less than mu times what it gives. That leaves an error of the
-way that falls as 1 / t. The acceleration, of v_x + mu v_y after a quarter of the time, knows of no bounces.
+A block of 0.1 x 0.05 m (E = 1 MPa, nu = 0.3, rho0 = 1000, N cells along its height, cfl 0.5) on a plane inclined by 24
+degrees: gravity is tilted. A rigid block slides by s = g t^2 (sin theta - mu cos theta) / 2. Here gravity is there at once
+and the block bounces; while it hardly moves along the plane the wall takes less than mu times what it gives. That leaves an
+error of the way that falls as 1 / t. The acceleration, of v_x + mu v_y after a quarter of the time, knows of no bounces.
 
-`laid`: gravity grows over 0.1 s under a damping of 500 / s. Laid on a plane with mu = tan 30 the block stays; on one with tan 20
-it slides under the same damping. `let go`, without either, it bounces on and moves with every bounce, in the finer grid
-by several cells, and its base comes to lie half a cell above the plane: contact through the grid begins before bodies touch.
+`laid`: gravity grows over 0.1 s under a damping of 500 / s. Laid on a plane with mu = tan 30 the block stays; on one with
+tan 20 it slides under the same damping. `let go`, without either, it bounces on and moves with every bounce, in the finer
+grid by several cells, and its base comes to lie half a cell above the plane: contact through the grid begins before bodies
+touch.
 
 Planes oblique to the grid and the bead on a circular arc need colliders: not built.
 """

@@ -95,13 +95,14 @@ def verify(size, comm):
 
 
 ABOUT = """
-Half a heap of `drucker_prager` sand (phi = 30 degrees, plane strain, no dilatancy), 0.1 m = N cells high, with a straight slope,
-on a floor that sticks, under gravity from the start on. A slope below phi stays, one above it flows. In simple shear without
-dilatancy the principal axes stand at 45 degrees to the layer, so that it carries a shear stress of sin phi times the normal
-one: what flows comes to rest between atan(sin phi) = 26.6 degrees and phi.
+Half a heap of `drucker_prager` sand (phi = 30 degrees, plane strain, no dilatancy), 0.1 m = N cells high, with a straight
+slope, on a floor that sticks, under gravity from the start on. A slope below phi stays, one above it flows. In simple shear
+without dilatancy the principal axes stand at 45 degrees to the layer, so that it carries a shear stress of sin phi times
+the normal one: what flows comes to rest between atan(sin phi) = 26.6 degrees and phi.
 
-That holds for a heap that is let down slowly (damping of 20 / s: inertia does not count). One that flows freely arrives with
-momentum and runs on to slopes below the angle of repose, the lower the steeper and finer it was: in the table, without a gate.
+That holds for a heap that is let down slowly (damping of 20 / s: inertia does not count). One that flows freely arrives
+with momentum and runs on to slopes below the angle of repose, the lower the steeper and finer it was: in the table, without
+a gate.
 """
 
 CASE = Case("V11", "Sand pile and angle of repose", ABOUT, verify)

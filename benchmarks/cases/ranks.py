@@ -5,16 +5,15 @@
 with benchmarks on the path is what `verify` starts; it leaves {scene: [hash of all particles, crossings of cuts]} in a file.
 """
 
-import hashlib
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
+from conservation import bits, mpirun
 
 import pmpm
 from cases import Case, Table, blocks, column, holds, incline, mms, shock
@@ -34,18 +33,6 @@ TESTED = {
 MOVING = ("V5", "V7", "V10")  # far enough to cross cuts
 
 
-def mpirun():
-    """The launcher beside this Python, else on the path; None without one."""
-    return shutil.which("mpirun", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}")
-
-
-def fingerprint(simulation):
-    """A hash of all particles of all ranks in the one global order. Collective."""
-    rows = simulation.fields(FIELDS)
-    text = b"".join(np.concatenate(simulation.comm.gather(values)).tobytes() for values in rows.values())
-    return hashlib.sha256(text).hexdigest()
-
-
 def crossings(simulation):
     """Particles that have gone from one rank to another. Collective."""
     sent = np.array(simulation.report()["sent"])
@@ -58,7 +45,7 @@ def run_all(comm):
     for name, scene in TESTED.items():
         simulation = pmpm.Simulation(scene(), comm)
         simulation.run(steps=STEPS)
-        found[name] = fingerprint(simulation), crossings(simulation)
+        found[name] = bits(simulation, FIELDS), crossings(simulation)
     return found
 
 

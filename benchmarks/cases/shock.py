@@ -245,16 +245,17 @@ def verify(size, comm):
 
 
 ABOUT = """
-A bar, or a layer of fluid (gamma = 7), at the speed V runs into a rigid wall: a plane front runs back, F1 and W from
--P(F1) (1 - F1) = rho0 V^2 and W = V / (1 - F1) (Rankine and Hugoniot; mechanical jump conditions, the laws know no heat). At
-V = 0.001 c it is a wave of speed c; a bar that moves along a wall it sticks to sends a shear wave. Measured: speed of the front in
-the second half of the run, its place at the end, where half of the speed is lost, mean stress over 0.1 to 0.8 of the way.
+A bar, or a layer of fluid (gamma = 7), at the speed V runs into a rigid wall: a plane front runs back, F1 and W from -P(F1)
+(1 - F1) = rho0 V^2 and W = V / (1 - F1) (Rankine and Hugoniot; mechanical jump conditions, the laws know no heat). At V =
+0.001 c it is a wave of speed c; a bar that moves along a wall it sticks to sends a shear wave. Measured: speed of the front
+in the second half of the run, its place at the end, where half of the speed is lost, mean stress over 0.1 to 0.8 of the
+way.
 
-The mean is over space, sum J sigma / sum J. Behind a strong shock particles keep oscillating, and as p(J) is convex their mean
-over mass lies above the exact pressure: by 5 % in a fluid at V = 5 c, where the mean over space is off by 1 %. The oscillations
-are what is left of the energy that a real shock turns into heat. There is no artificial viscosity of the kind of von Neumann
-and Richtmyer (not built): PIC, or a fluid's `viscosity`, take them away. A fixed corotated solid at V >= c has no shock. It is
-crushed to J near zero without inversion, finite and without a gain of energy.
+The mean is over space, sum J sigma / sum J. Behind a strong shock particles keep oscillating, and as p(J) is convex their
+mean over mass lies above the exact pressure: by 5 % in a fluid at V = 5 c, where the mean over space is off by 1 %. The
+oscillations are what is left of the energy that a real shock turns into heat. There is no artificial viscosity of the kind
+of von Neumann and Richtmyer (not built): PIC, or a fluid's `viscosity`, take them away. A fixed corotated solid at V >= c
+has no shock. It is crushed to J near zero without inversion, finite and without a gain of energy.
 """
 
 CASE = Case("V5", "Waves and impact shocks", ABOUT, verify)
