@@ -20,7 +20,22 @@ from pathlib import Path
 
 import verification_page
 from cases import (
-    SIZES, Check, Plot, Table, bar, blocks, cantilever, column, dam_break, incline, mms, pile, ranks, rigid, shock, vortex,
+    SIZES,
+    Check,
+    Plot,
+    Table,
+    bar,
+    blocks,
+    cantilever,
+    column,
+    dam_break,
+    incline,
+    mms,
+    pile,
+    ranks,
+    rigid,
+    shock,
+    vortex,
 )  # fmt: skip
 from laws import machine
 

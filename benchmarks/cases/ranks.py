@@ -16,7 +16,7 @@ import numpy as np
 from conservation import bits, mpirun
 
 import pmpm
-from cases import Case, Table, blocks, column, holds, incline, mms, shock
+from cases import Case, Table, blocks, column, holds, incline, mms, rigid, shock
 from pmpm.parallel.comm import from_launcher
 
 STEPS = 400
@@ -26,11 +26,12 @@ TESTED = {
     "V1": lambda: mms.AxisAligned().scene(40),
     "V4": lambda: column.scene(column.SOFT["hencky"], 64),
     "V5": lambda: shock.scene(shock.Impact(shock.WATER, 0.5), 64),
+    "V6": lambda: rigid.Spinning(cell_size=0.01).scene(1.0),
     "V7": lambda: incline.scene(incline.friction(15.0), 24, 5.0, speed=6.0),
     "V10": lambda: blocks.scene(8, 3),
 }
 
-MOVING = ("V5", "V7", "V10")  # far enough to cross cuts
+MOVING = ("V5", "V6", "V7", "V10")  # far enough to cross cuts
 
 
 def crossings(simulation):
