@@ -15,24 +15,24 @@ import argparse
 import contextlib
 import importlib.util
 import os
-import platform
 import statistics
 import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 
 import ceilings
 import contest
 import kernels_page
+import machine
 import numpy as np
 from contest import Child, ContestantError
 from kernels_page import Goal
 from stages import Progress
 from workloads import LAWS, Workload
 
+PACKAGES = ("numba", "numpy", "taichi", "warp-lang", "mpi4py")
 ROUNDS = 6
 COMPARED = 8  # steps from the start after which positions are compared
 # The peers keep positions in metres: a float32 in [0.5, 1) has a last place of 6e-8. Half of it is lost when a step is added,
@@ -298,16 +298,6 @@ def share_of_ordered_sum(measured, name):
     return 100.0 * facts["ordered sum"] / timing.cost() if timing and facts else None
 
 
-def machine():
-    """One line on the processor, one on the versions."""
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-    cores = len(os.sched_getaffinity(0))
-    packages = ("numba", "numpy", "taichi", "warp-lang", "mpi4py")
-    versions = ", ".join(f"{name} {version(name)}" for name in packages)
-    return f"{model}, {cores} cores", f"Python {platform.python_version()}, {versions}"
-
-
 def missing():
     """Names of packages that this benchmark needs and does not find."""
     return [name for name in ("taichi", "warp", "matplotlib", "mpi4py") if importlib.util.find_spec(name) is None]
@@ -338,7 +328,9 @@ def main():
     found = [goal.text for goal in judged if not goal.met]
     print("\n".join(f"FAILED: {line}" for line in found) or "all musts hold")
     if given.docs:
-        kernels_page.write(given.docs, tables, measured, judged, machine(), minutes, found)
+        kernels_page.write(
+            given.docs, tables, measured, judged, (machine.processor(), machine.versions(PACKAGES)), minutes, found
+        )
     return 1 if found else 0
 
 

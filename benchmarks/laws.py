@@ -11,15 +11,14 @@ stated in REASONS. --quick is for work on this file: a block of 12^3 cells and t
 """
 
 import argparse
-import platform
 import statistics
 import sys
 import time
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 
 import laws_page
+import machine
 import numpy as np
 from stages import Progress
 
@@ -346,13 +345,6 @@ def measure(labels, cells, rounds, loops):
     return found
 
 
-def machine():
-    """(processor, versions), a line each."""
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-    return model, ", ".join([f"Python {platform.python_version()}", *(f"{n} {version(n)}" for n in ("numba", "numpy"))])
-
-
 def main():
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--laws", nargs="+", choices=list(MATERIALS), default=list(MATERIALS), help="which of them")
@@ -371,7 +363,7 @@ def main():
     failed = laws_page.failed(found, MOST, REASONS)
     print("\n".join(f"FAILED: {line}" for line in failed) or "all musts hold")
     if given.docs:
-        laws_page.write(given.docs, found, MOST, REASONS, minutes, failed, machine())
+        laws_page.write(given.docs, found, MOST, REASONS, minutes, failed, (machine.processor(), machine.versions()))
     return 1 if failed else 0
 
 
