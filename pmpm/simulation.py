@@ -454,7 +454,8 @@ class Simulation:
         for array_axis, axis in ((1, middle), (2, row)):
             if axis >= 0 and self.geometry.periodic[axis]:
                 cells = self.geometry.cells[axis]
-                low, high = (np.moveaxis(planes, array_axis, 0)[s : s + shared] for s in (0, cells))
+                before = (slice(None),) * array_axis
+                low, high = (planes[*before, first : first + shared] for first in (0, cells))
                 total = low + high
                 low[:], high[:] = total, total
 
