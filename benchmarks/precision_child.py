@@ -152,9 +152,10 @@ def observed(code, problem, exact, steps):
         ahead = min(every, steps - done)
         code.run(ahead)
         done += ahead
-    return (
-        {"e_u": float(largest) / reference} if math.isfinite(largest) else {"stopped": f"not a number by step {done}"}
-    )
+    if not math.isfinite(largest):
+        return {"stopped": f"not a number by step {done}"}
+    farthest = float(np.abs(problem.X).max())
+    return {"e_u": float(largest) / reference, "reference": reference, "farthest": farthest}
 
 
 def rms(vectors):

@@ -234,7 +234,7 @@ def step_table(found):
             rows.append((f"{cfl:g}", *cells))
     if not rows:
         return None
-    text = f"e_u of the waves in 2-D at {SWEPT_CELLS} cells; the stable step of theory is at 1.\n\n"
+    text = f"e_u of the waves in 2-D at {SWEPT_CELLS} cells; beyond about 1 a step is refused unless it is forced, as here.\n\n"
     return text + markdown(("cfl", *(point.scheme for point in points)), rows)
 
 

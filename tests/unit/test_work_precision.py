@@ -2,7 +2,9 @@
 
 import pytest
 from precision_arithmetic import cost_to_reach, order, pareto, ranks
+from precision_found import Claim, Found, Run
 from precision_plan import CFLS, PEER_CASES, TRANSFERS, Point, plan
+from work_precision import Rows, disagreements
 
 SECOND_ORDER = [(1.0, 1e-1), (8.0, 2.5e-2), (64.0, 6.25e-3)]  # in 2-D: twice the cells, 8 times the particle-steps
 
@@ -68,3 +70,45 @@ def test_peers_run_at_the_steps_and_grids_at_which_pmpm_runs_the_same_scheme(qui
         if point.code in ("taichi", "warp"):
             assert point.case in PEER_CASES
             assert Point(point.case, point.cells, precision=point.precision, cfl=point.cfl) in points
+
+
+def test_a_call_goes_on_with_the_whole_rows_of_one_that_was_killed(tmp_path):
+    first = Rows(tmp_path, {"processor": "this one"})
+    first.add("a", 0, {"seconds": 1.0})
+    with first.path.open("a", encoding="utf-8") as file:
+        file.write('{"key": "b", "round": 0, "sec')
+    again = Rows(tmp_path, {"processor": "this one"})
+    again.add("c", 0, {"seconds": 2.0})
+    assert list(Rows(tmp_path, {"processor": "this one"}).known) == [("a", 0), ("c", 0)]
+
+
+def test_rows_of_another_machine_are_not_mixed_in(tmp_path):
+    Rows(tmp_path, {"processor": "this one"})
+    with pytest.raises(SystemExit, match="another machine"):
+        Rows(tmp_path, {"processor": "another"})
+
+
+@pytest.mark.parametrize(("error", "told"), [(0.0200001, 0), (0.021, 1)])
+def test_a_peer_may_differ_from_pmpm_by_roundings_only(tmp_path, error, told):
+    """100 steps of float32 within 1 m, u of 0.01 m: 4 sqrt(100) 2^-24 / 0.01 = 2.4e-4."""
+    peer, own = Point("waves 2-D", 16, code="warp", precision="float32"), Point("waves 2-D", 16, precision="float32")
+    rows = Rows(tmp_path, {})
+    rows.add(own.key, 0, {"e_u": 0.02})
+    rows.add(peer.key, 0, {"e_u": error, "steps": 100, "farthest": 1.0, "reference": 0.01})
+    lines, compared = disagreements([own, peer], rows)
+    assert (len(lines), compared) == (told, 1)
+
+
+def test_a_peer_that_is_sooner_at_an_error_is_named():
+    """Both halve the error with 8 times the time; the peer takes twice as long."""
+    runs = {}
+    for code, unit in (("pmpm", 1.0), ("warp", 2.0)):
+        for cells, error in ((16, 0.2), (32, 0.05)):
+            point = Point("waves 2-D", cells, code=code, precision="float32")
+            runs[point] = Run(point, {}, error, (unit * cells**3,))
+    found = Found({}, None, {}, True, 0.0, set())
+    found.wanted, found.runs = dict.fromkeys(runs, 1), runs
+    (claim, *_) = found.claims()
+    assert (claim.level, claim.peer, claim.theirs / claim.mine, claim.lost) == (0.1, "warp", pytest.approx(2.0), False)
+    assert Claim("waves 2-D", 0.1, "warp", 2.0, "mls", 1.0).lost
+    assert not Claim("waves 2-D", 0.1, "warp", 2.0, "mls", None).lost
