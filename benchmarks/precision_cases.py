@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from cases import bar, column, mms, vortex
-from cases.gathered import by_id
 from peers.problem import Problem, Vortex, Waves
 
 import pmpm
@@ -154,8 +153,7 @@ def watch(point, simulation, observations):
     if point.case == "sand":
         return lambda: {"quantiles": quantiles(simulation)}
     if point.case == "column":
-        (X,) = by_id(simulation, "x")
-        return lambda: static_errors(column.errors(simulation, COLUMN, X))
+        return lambda: static_errors(column.errors(simulation, COLUMN))
     errors = pmpm.Errors(simulation)
     simulation.every(errors, steps=max(1, expected_steps(point) // observations), at_start=True)
     return lambda: errors_so_far(errors, simulation)
