@@ -89,7 +89,7 @@ class Watch:
         self.found = Found()
         self.masses, self.done = masses(simulation), 0.0
         self.before = None  # of a look in the step before: energies, and what they are compared with
-        self.first_energy = sum(energies(simulation))
+        self.first_energy = self.most = sum(energies(simulation))
         self.look()
 
     def look(self):
@@ -103,15 +103,18 @@ class Watch:
         found.claim(np.array_equal(masses(simulation), self.masses), "mass changed")
         if self.with_energy and self.first_energy + self.done > 0.0:
             self.before = (*energies(simulation), self.first_energy + self.done)
+            self.most = max(self.most, self.first_energy + self.done)
 
     def compare_energy(self):
         """Of the state a step ago. Symplectic Euler's velocities belong to the middle of a step: the energy of motion at its
-        end is the mean of those before and after, without which the total would swing by omega dt / 2 of itself.
+        end is the mean of those before and after, without which the total would swing by omega dt / 2 of itself. Where loads
+        take energy back, an excess counts against the most that there has been.
         """
         if self.before is None:
             return
-        (motion, stored, most), found = self.before, self.found
-        ratio = (stored + 0.5 * (motion + energies(self.simulation)[0])) / most
+        (motion, stored, allowed), found = self.before, self.found
+        held = stored + 0.5 * (motion + energies(self.simulation)[0])
+        ratio = 1.0 + (held - allowed) / self.most
         found.energy = ratio if math.isnan(ratio) else max(found.energy or 0.0, ratio)
         found.claim(ratio <= HIGHEST_ENERGY, "energy from nowhere")
         self.before = None

@@ -23,7 +23,7 @@ def crush(scheme, variant):
         walls={"x_min": "slip", "x_max": "slip", "y_min": "slip"},
         motions=[{"shape": platen, "velocity": [0.0, -SPEED]}],
     )  # fmt: skip
-    first = run.control.choose(0.0)
+    first = run.dt
     found = follow(run, steps=MOST_STEPS, with_energy=False)
     reached = 1.0 - SPEED * run.time / HEIGHT
     found.numbers = {"height": reached, "dt shrank": first / found.smallest_dt}

@@ -71,7 +71,7 @@ def column(scheme, variant):
         walls={"x_min": "slip", "x_max": "slip", "y_min": "slip"},
     )  # fmt: skip
     (X,) = by_id(run, "x")
-    start = run.control.choose(0.0)
+    start = run.dt
     found = follow(run, until=16.0 * period)
     if not found.message:
         (x,) = by_id(run, "x")
@@ -109,7 +109,7 @@ def turning_disk(scheme, variant):
     dx = RADIUS / 8.0
     run, center = spinning_disk(scheme, material, dx)
     (before,) = by_id(run, "x")
-    L0, start = run.measure()["angular_momentum_z"], run.control.choose(0.0)
+    L0, start = run.measure()["angular_momentum_z"], run.dt
     found = follow(run, steps=SPINNING_STEPS)
     scale = material["density"] * (SPIN * RADIUS) ** 2
     if not found.message:
@@ -154,7 +154,7 @@ def stack(scheme, variant):
         [box([4 * TILE, 0.0], [12 * TILE, 4 * TILE], "a"), box([4 * TILE, 4 * TILE], [12 * TILE, 8 * TILE], "b")],
         materials, gravity=[0.0, -9.81],
     )  # fmt: skip
-    start = run.control.choose(0.0)
+    start = run.dt
     found = follow(run, steps=STEPS_OF_PAIRS)
     follows_waves(found, max(map(wave_speed, materials.values())), TILE, start)
     if not found.message:
