@@ -13,7 +13,7 @@ from .scenes import box, simulation, solid
 
 CELLS, CELL = 32, 1.0
 NOISE, GROWN = 1e-10, 100.0  # of J at the start; as many times as that is growth
-STEPS = 10_000
+STEPS, LOOKS = 10_000, 100
 FLIGHT = np.array([0.02, 0.007])  # of the wave speed
 PLACES = {"on a node": 0.0, "in the middle": 0.5, "1e-8 from a node": 1e-8, "1e-12 from a node": 1e-12}
 FLUID = {"model": "fluid", "density": 1.0, "sound_speed": 1.0, "tension_cutoff": False}
@@ -52,7 +52,7 @@ def alone(run, law, volume=1.0, velocity=FLIGHT):
         worst[0] = max(worst[0], float(np.abs(run.particles.J - 1.0).max()))
 
     # What noise alone holds is below the round-off of energies.
-    found = follow(run, steps=STEPS, each=volumes, with_energy=bool(np.any(velocity)))
+    found = follow(run, steps=STEPS, looks=LOOKS, each=volumes, with_energy=bool(np.any(velocity)))
     drift = float(np.abs(run.particles.v - velocity).max())
     found.numbers = {"largest |J - 1|": worst[0], "change of v": drift}
     if volume == 1.0 and not found.message:

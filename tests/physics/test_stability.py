@@ -49,12 +49,6 @@ def test_energy_from_nowhere_is_noticed_where_the_step_is_far_beyond_the_bound()
     assert "energy from nowhere" in found.wrong
 
 
-def test_a_cube_of_a_terapascal_survives_its_fall():
-    found = solids.drop(APIC, "E=1e12")
-    assert found.verdict == SURVIVES, found.wrong
-    assert 0.7 < found.numbers["rebound"] < 0.8  # measured 0.766, as from 1e7 Pa on
-
-
 def test_a_law_without_meaning_for_inverted_particles_stops_in_the_first_step_and_names_one():
     found = inverted.refused_by_law(APIC, "neo_hookean")
     assert found.verdict == STOPPED
@@ -88,6 +82,7 @@ def spoiled(name, value):
     population, layout = run.populations[0], run.layouts[0]
     population.set_rows(layout.where(name), values.reshape(len(values), -1))
     watch.look()
+    watch.compare_energy()
     return watch.found
 
 
