@@ -46,11 +46,12 @@ def stop_crawling(simulation, driven):
         "waves": f"waves run at {control.wave:.4g} m/s through material as stiff, compressed or stretched as it is",
         "speed": f"particles move at {control.speed:.4g} m/s",
         "acceleration": f"gravity, loads and body force reach {driven + control.force:.4g} m/s2",
+        "strain": f"particles are strained at a rate of {control.gradient:.4g} 1/s",
     }[kind]
     floor = "time.smallest_step" if given else f"time.smallest_step (not given: {CRAWL:g} of the first step)"
     cause = f"the stable step, {min(allowed):.4g} s, is below {floor} = {simulation.smallest_step:.4g} s: {why}"
     of_particles = [
-        {"waves": d.wave_speed_squared, "speed": d.speed, "acceleration": d.speed}[kind]()
+        {"waves": d.wave_speed_squared, "strain": d.strain_rate}.get(kind, d.speed)()
         for d in simulation.derived(np.float64)
     ]
     failure.stop_at_largest(simulation, of_particles, cause)

@@ -6,6 +6,7 @@ import numpy as np
 
 from pmpm.kernels.needs import labels
 from pmpm.physics.materials import law_of
+from pmpm.state.derived import MASS
 from pmpm.state.fields import OPTIONAL, Field
 
 
@@ -78,10 +79,20 @@ def measure(simulation):
     names = list(per_layer)
     summed = simulation.comm.sum(np.stack([per_layer[name] for name in names]))
     found: dict[str, float] = {"particles": int(simulation.comm.sum(np.array([simulation.rows()]))[0])}
+    found["mass"] = total_mass(simulation)
     found |= {name: math.fsum(row) for name, row in zip(names, summed, strict=True)}
     found["dissipated"] = simulation.first_energy - total_energy(found)
     found["max_speed"] = float(simulation.comm.max(np.array([top]))[0])
     return found
+
+
+def total_mass(simulation):
+    """Of all particles over all ranks, counted: no particle that moves on changes a bit of it. Collective."""
+    found = []
+    for population, table in zip(simulation.populations, simulation.tables, strict=True):
+        counts = np.bincount(population.per_particle(population.block_row), minlength=len(table))
+        found.append(simulation.comm.sum(counts) * table[:, MASS])
+    return math.fsum(np.concatenate(found))
 
 
 def total_energy(measured):

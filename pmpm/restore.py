@@ -50,6 +50,7 @@ class Control(Numbers):
 
     speed: Size
     wave: Size
+    gradient: Size
     force: Size
     travel: Size
     drift: Size
@@ -57,7 +58,7 @@ class Control(Numbers):
     regroup_travel: Size
     begun: Count
     regroup_step: Count
-    pending: Annotated[list[tuple[Count, Size, Size, Size, Size, Size]], Field(max_length=8)]
+    pending: Annotated[list[tuple[Count, Size, Size, Size, Size, Size, Size]], Field(max_length=8)]
     disorder: Disorder
 
 

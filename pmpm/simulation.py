@@ -32,7 +32,7 @@ from pmpm.state.derived import PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
 from pmpm.state.grid import Patch
 from pmpm.state.particles import Loose, Population, assemble
-from pmpm.timestep import FAILED, FORCE, LAG, REQUEST, SPEED, WAVE, StepControl
+from pmpm.timestep import FAILED, FORCE, GRADIENT, LAG, REQUEST, SPEED, WAVE, StepControl
 from pmpm.watching import STOP, Observer, Timers, next_count, spread
 
 
@@ -191,11 +191,14 @@ class Simulation:
             image(nodes, boxes, *nothing, normal, normal)
 
     def fastest(self):
-        """Maxima over this rank's particles in the order of what is reduced: |v|^2, c^2, |b|^2 of the body force; drift and
-        the rest are zero. A particle that is not a number stops the run, not this."""
+        """Maxima over this rank's particles in the order of what is reduced: |v|^2, c^2, |C|^2 where particles have it, and
+        |b|^2 of the body force; drift is zero. A particle that is not a number stops the run, not this."""
         found = np.zeros(FAILED)
         for derived in self.derived(self.real):
             values = {SPEED: derived.speed() ** 2, WAVE: derived.wave_speed_squared()}
+            C = derived.field("C")
+            if C is not None:
+                values[GRADIENT] = np.square(C.astype(np.float64)).sum(axis=1)
             if self.needs.body_force is not None:
                 values[FORCE] = derived.body_force_squared(self.needs.body_force, self.time)
             for kind, of_particles in values.items():
@@ -333,6 +336,7 @@ class Simulation:
         if self.failure is not None:
             extremes[FAILED] = -self.failure["step"]
         extremes[REQUEST], self.request = self.request, 0
+        extremes[GRADIENT] /= np.square(np.float64(dt))
         self.drive.finish(dt)
         self.control.start(self.step_count + 1, float(dt), extremes)
         self.timers.add("g2p", began)

@@ -1,9 +1,10 @@
 """How long the next step may be, and whether particles may have used up the padding of their layers.
 
-Three bounds, of which the shortest counts:
+Four bounds, of which the shortest counts:
   cfl dx / (c sqrt(d))    c the largest current wave speed, with viscosity (Sun, Shinar, Schroeder 2020; quadratic splines)
-  MOVE dx / max|v|        what a particle moves; |grad v| dt stays below 1 too: splines give at most 2 max|v_i| / dx
+  MOVE dx / max|v|        what a particle moves
   sqrt(MOVE dx / max|a|)  what gravity, loads and body force let a particle at rest move
+  STRETCH / max|grad v|   what a particle is strained: a lone one may stand still and expand
 Maxima over all ranks come from a reduction that was started LAG steps ago, so that no step waits for it; what a particle may
 move meanwhile is covered by the padding.
 """
@@ -17,19 +18,19 @@ import numpy as np
 
 LAG = 2  # steps between the start of a reduction and its use
 MOVE = 0.2  # cells a particle may move in a step: LAG + 1 such steps and a margin fit into one cell of padding
+STRETCH = 0.1  # strain of a particle in a step: until it is known, LAG steps later, waves have changed little
 EVERY = 8  # steps between two counts of disorder
-RUN_COST, REGROUP_COST = (
-    8,
-    75,
-)  # ns of one more run, and of a regroup per particle: estimates for one core of an AVX-512 Xeon
+# ns of one more run, and of a regroup per particle: estimates for one core of an AVX-512 Xeon.
+RUN_COST, REGROUP_COST = 8, 75
 MARGIN = 1.5  # growth of the largest speed that is allowed for between two reductions
-# What is reduced: max |v|^2, max c^2, max drift in cells, max |b|^2 of the body force, minus the failed step, and what a rank
-# has been asked for.
-SPEED, WAVE, DRIFT, FORCE, FAILED, REQUEST = range(6)
-BOUNDS = ("waves", "speed", "acceleration")
+# What is reduced: max |v|^2, max c^2, max drift in cells, max |grad v|^2, max |b|^2 of the body force, minus the failed step,
+# and what a rank has been asked for.
+SPEED, WAVE, DRIFT, GRADIENT, FORCE, FAILED, REQUEST = range(7)
+BOUNDS = ("waves", "speed", "acceleration", "strain")
 NUMBERS = (
     "speed",
     "wave",
+    "gradient",
     "force",
     "travel",
     "drift",
@@ -112,7 +113,7 @@ class StepControl:
         self.travel = 0.0
         self.regrouped(0)
         self.begun = self.asked = 0
-        self.speed = self.wave = self.force = 0.0
+        self.speed = self.wave = self.gradient = self.force = 0.0
 
     def begin(self, step, maxima):
         """Take the maxima over the particles of this rank, in the order of what is reduced, of a state that no step has made,
@@ -121,11 +122,12 @@ class StepControl:
         self.learn(self.comm.max(maxima))
 
     def learn(self, values):
-        self.speed, self.wave, self.force = (math.sqrt(values[kind]) for kind in (SPEED, WAVE, FORCE))
+        self.speed, self.wave = math.sqrt(values[SPEED]), math.sqrt(values[WAVE])
+        self.gradient, self.force = math.sqrt(values[GRADIENT]), math.sqrt(values[FORCE])
 
     def bounds(self, driven):
         """The longest step in s by each of BOUNDS; `driven`: acceleration by gravity and loads, m/s2."""
-        return stable_bounds(self.cell_size, self.dim, self.wave, self.speed, driven + self.force)
+        return stable_bounds(self.cell_size, self.dim, self.wave, self.speed, driven + self.force, self.gradient)
 
     def stable_step(self, driven):
         """The step in s that cfl and the bounds allow."""
@@ -203,12 +205,13 @@ class StepControl:
         self.disorder.resume(state["disorder"])
 
 
-def stable_bounds(cell_size, dim, wave, speed, acceleration):
-    """The longest step in s by each of BOUNDS, for cfl = 1; infinite where nothing bounds it. In m, m/s and m/s2."""
+def stable_bounds(cell_size, dim, wave, speed, acceleration, gradient=0.0):
+    """The longest step in s by each of BOUNDS, for cfl = 1; infinite where nothing bounds it. In m, m/s, m/s2 and 1/s."""
     return (
         cell_size / (wave * math.sqrt(dim)) if wave > 0.0 else math.inf,
         MOVE * cell_size / speed if speed > 0.0 else math.inf,
         math.sqrt(MOVE * cell_size / acceleration) if acceleration > 0.0 else math.inf,
+        STRETCH / gradient if gradient > 0.0 else math.inf,
     )
 
 

@@ -724,7 +724,7 @@ def g2p(
     )
     grid_divergence = nodes_divergence.reshape(-1)
     row, plane = nodes.shape[2] * 4, nodes.shape[1] * nodes.shape[2] * 4
-    speeds = waves = in_all_lanes(real(0.0))
+    speeds = waves = strains = in_all_lanes(real(0.0))
     drifts = in_all_lanes(integer(0))
     for layer in range(first_layer, last_layer):
         low_slab = place_at(limits[SLAB, 0] - 64 * (layer_node + layer))
@@ -827,11 +827,12 @@ def g2p(
                 waves = max(
                     waves, where(live, stability.signal_speed_squared(state, params, density, inv_dx), real(0.0))
                 )
+                strains = max(strains, where(live, la.norm_squared(G), real(0.0)))
                 drifts = max(drifts, where(live, far, 0))
                 block += 1
                 left -= 16
     restore_denormals(before)
-    return largest_lane(speeds), largest_lane(waves), real(largest_lane(drifts)) * UNIT
+    return largest_lane(speeds), largest_lane(waves), real(largest_lane(drifts)) * UNIT, largest_lane(strains)
 
 
 def measure_divergence(

@@ -20,8 +20,8 @@ the loads that acts. Schemes that blend velocities run P2G twice: without impuls
 
 G2P gathers velocity and its gradient, advances state and position of its layers. `limits[axis]`, in 64ths of a cell, where
 particles may be, `ends[axis]` where a periodic axis repeats. The first particle that fails is written to `failure` (cause,
-block, lane) and keeps its position. G2P returns the maxima (speed^2, wave speed^2, drift in cells): drift is how far a
-particle is from the middle of its layer, or half a cell plus what it is beyond the end of a periodic axis.
+block, lane) and keeps its position. G2P returns the maxima (speed^2, wave speed^2, drift in cells, |dt grad v|^2): drift is how
+far a particle is from the middle of its layer, or half a cell plus what it is beyond the end of a periodic axis.
 """
 
 from numba.np.unsafe.ndarray import to_fixed_tuple

@@ -242,7 +242,8 @@ def g2p(
     layer_node, limits, ends, scratch, first_nodes, constants, dt, dx, inv_dx, failure,
 ):  # fmt: skip
     before = flush_denormals()
-    speed_squared, wave_squared, drift = real(0.0), real(0.0), integer(0)
+    speed_squared = wave_squared = strain_squared = real(0.0)
+    drift = integer(0)
     for layer in range(first_layer, last_layer):
         for s in range(layer_start[layer], layer_start[layer + 1]):
             row = segments[s, 2]
@@ -317,9 +318,10 @@ def g2p(
                 store(reals, block, STATE_FIELD, lane, state)
                 speed_squared = max(speed_squared, la.dot(v, v))
                 wave_squared = max(wave_squared, stability.signal_speed_squared(state, params, density, inv_dx))
+                strain_squared = max(strain_squared, la.norm_squared(G))
                 drift = max(drift, far)
     restore_denormals(before)
-    return speed_squared, wave_squared, real(drift) * UNIT
+    return speed_squared, wave_squared, real(drift) * UNIT, strain_squared
 
 
 def measure_divergence(

@@ -49,6 +49,11 @@ class DerivedFields:
         v = self.field("v")
         return np.sqrt((v * v).sum(axis=1))
 
+    def strain_rate(self):
+        """(n,) |C| in 1/s, zero where particles have none."""
+        C = self.field("C")
+        return np.zeros(len(self.population)) if C is None else np.sqrt((C * C).sum(axis=1))
+
     def mass(self):
         return self.row_values[:, MASS]
 
@@ -115,7 +120,7 @@ class DerivedFields:
         """dict of (n,) contributions to the totals of `Simulation.measure`, float64."""
         dim, m, x, v = self.geometry.dim, self.mass(), self.x(), self.velocity().astype(np.float64)
         spin = self.spin()
-        found = {"mass": m}
+        found = {}
         for axis in range(dim):
             found[f"momentum_{'xyz'[axis]}"] = m * v[:, axis]
         for axis in (2,) if dim == 2 else (0, 1, 2):

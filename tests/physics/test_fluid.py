@@ -158,3 +158,11 @@ def test_a_very_viscous_fluid_is_stable_at_the_default_cfl():
     energy = simulation.measure()["kinetic"]
     simulation.run(steps=300)
     assert simulation.measure()["kinetic"] < energy
+
+
+@pytest.mark.parametrize("J", [0.5, 0.9, 1.0, 1.5, 3.0, 10.0, 50.0])
+def test_the_wave_speed_bounds_what_a_particle_alone_swings_with(J):
+    # dtau/dlnJ of tau = -J p, which under tension grows with J; by central differences.
+    params, eps = (1000.0, 7.0, 0.0), 1e-6
+    ends = [fluid.kirchhoff_stress((J * math.exp(sign * eps),), params)[0] for sign in (1.0, -1.0)]
+    assert fluid.wave_speed_squared((J,), params, 1.0) >= (ends[0] - ends[1]) / (2.0 * eps) * (1.0 - 1e-6)

@@ -13,6 +13,7 @@ from pmpm.parallel.comm import Alone
 from pmpm.run import run_scene
 from pmpm.scene.errors import SceneError
 from pmpm.scene.schema import ENERGY_GAIN
+from pmpm.timestep import LAG
 
 RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e6, "poisson_ratio": 0.3}
 SNOW = {"model": "snow", "density": 400.0, "youngs_modulus": 1.4e5, "poisson_ratio": 0.2}
@@ -77,6 +78,32 @@ def test_a_body_force_bounds_the_first_step():
 def test_gravity_that_grows_bounds_the_step_as_far_as_it_has_grown():
     simulation = pmpm.Simulation(scene(domain={"gravity": [0.0, -1e5]}, time={"ramp": 1.0}))
     assert simulation.drive.acceleration(0.25) == pytest.approx(0.25e5)
+
+
+@pytest.mark.parametrize("loops", ["lanes", "scalar"])
+def test_no_particle_is_strained_by_more_than_a_tenth_in_a_step(loops, monkeypatch):
+    monkeypatch.setenv("PMPM_LOOPS", loops)
+    simulation = pmpm.Simulation(scene(method={"transfer": "mls"}))  # whose velocity gradient is C
+    C = np.zeros((len(simulation.particles.id), 2, 2))
+    C[7] = [[300.0, 0.0], [0.0, -400.0]]
+    simulation.particles.C = C
+    simulation.step()
+    assert simulation.dt == pytest.approx(0.1 / 500.0, rel=1e-12)
+    after = []
+    for _ in range(5):
+        simulation.step()
+        after.append(np.sqrt(np.square(simulation.particles.C).sum(axis=(1, 2)).max()))
+    assert simulation.control.gradient == pytest.approx(after[-1 - LAG], rel=1e-12)
+
+
+@pytest.mark.parametrize("transfer", ["apic", "mls"])
+def test_a_compressed_particle_of_water_alone_swings_and_stays_whole(transfer):
+    water = {"model": "fluid", "density": 1000.0, "sound_speed": 10.0, "tension_cutoff": False}
+    drop = {"material": "m", "shape": {"type": "box", "min": [8.0, 8.0], "max": [9.0, 9.0]}, "particles_per_cell": 1}
+    simulation = pmpm.Simulation(scene(water, drop, method={"transfer": transfer}))
+    simulation.particles.J = np.full(len(simulation.particles.id), 0.5)
+    simulation.run(steps=1000)
+    assert 0.4 < simulation.particles.J[0] < 30.0
 
 
 # ---- a step of one's own -------------------------------------------------------------------------------------------------

@@ -149,10 +149,17 @@ def volume_ratio(state):
 
 
 def wave_speed_squared(state, params, density):
-    """dp/drho = B/rho0 J^(1 - gamma); where the fluid is expanded, that at rest, which is more."""
+    """dp/drho = B/rho0 J^(1 - gamma); where the fluid is expanded, that at rest, which is more.
+
+    Under tension the stress on the undeformed volume, tau = -J p, stiffens: dtau/dlnJ = B/gamma ((gamma - 1) J^(1 - gamma) + J)
+    is what a particle alone swings with.
+    """
     bulk_modulus, gamma, viscosity = params
     (J,) = state
-    return bulk_modulus / density * exp((1.0 - gamma) * log(max(min(J, 1.0), SMALLEST)))
+    power = exp((1.0 - gamma) * log(max(min(J, 1.0), SMALLEST)))
+    if TENSION_CUTOFF:
+        return bulk_modulus / density * power
+    return bulk_modulus / density * max(power, 1.0 + (J - 1.0) / gamma)
 
 
 def energy(state, params):
