@@ -1,24 +1,14 @@
 """What a page of results says of where its figures come from: processor, cores, versions, commit, date."""
 
 import datetime
-import os
 import platform
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from pmpm.studies.report import machine as processor
+
 PACKAGES = ("numba", "numpy")
-
-
-def processor():
-    """Model and number of cores that this process may use."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{model}, {cores} cores"
 
 
 def versions(packages=PACKAGES):

@@ -1,17 +1,13 @@
 """The page and the picture of benchmarks/stability.py (the picture needs matplotlib)."""
 
-import datetime
 import math
-import platform
 import sys
-from importlib.metadata import version
 
+import machine
 import matplotlib
 import numpy as np
 from stress.explained import NOT_RUN, ROWS
 from stress.matrix import DOUBLE, FAILED, SINGLE, STOPPED, SURVIVES
-
-import pmpm
 
 matplotlib.use("Agg")
 from matplotlib import pyplot  # noqa: E402
@@ -158,12 +154,6 @@ def sections(cases):
     return "\n".join(parts)
 
 
-def machine():
-    with open("/proc/cpuinfo", encoding="utf-8") as file:
-        names = [line.split(":")[1].strip() for line in file if line.startswith("model name")]
-    return f"{names[0] if names else platform.processor()}, {len(names)} cores"
-
-
 def page(results, jobs, verdict):
     cases = by_case(results)
     tally = {letter: sum(r["verdict"] == letter for r in results.values()) for letter in (SURVIVES, STOPPED, FAILED)}
@@ -175,8 +165,8 @@ def page(results, jobs, verdict):
 transfer, spline and precision. {tally[SURVIVES]} survive (S), {tally[STOPPED]} stop or are refused with a clear message (E),
 {tally[FAILED]} fail (F). A ✘ marks what is not what its row expects; nothing that fails is left out.
 
-{machine()}; Python {platform.python_version()}, numpy {np.__version__}, numba {version("numba")}, pmpm {pmpm.__version__};
-{datetime.date.today()}; runs {told}, with what it takes to judge them.
+{machine.text()}; runs {told}, with what it
+takes to judge them.
 
 ![The matrix in colours](../pictures/stability.png)
 

@@ -12,12 +12,12 @@ missed.
 import argparse
 import datetime
 import json
-import subprocess
 import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
 
+import machine
 import verification_page
 from cases import (
     SIZES,
@@ -37,7 +37,6 @@ from cases import (
     shock,
     vortex,
 )  # fmt: skip
-from laws import machine
 
 from pmpm.failure import NumericalFailure
 from pmpm.parallel.comm import from_launcher
@@ -45,20 +44,6 @@ from pmpm.parallel.comm import from_launcher
 ORDER = (mms, vortex, bar, column, shock, rigid, incline, cantilever, dam_break, blocks, pile, ranks)  # of the page
 CASES = tuple(family.CASE for family in ORDER)
 KINDS = {"check": Check, "table": Table, "plot": Plot}
-
-
-def commit():
-    """Name of the commit that runs, with a mark where files have changed since."""
-    found = []
-    for command in (("rev-parse", "--short", "HEAD"), ("status", "--porcelain", "--untracked-files=no")):
-        try:
-            run = subprocess.run(
-                ["git", *command], capture_output=True, text=True, check=True, cwd=Path(__file__).parent
-            )
-        except (OSError, subprocess.CalledProcessError):
-            return "unknown"
-        found.append(run.stdout.strip())
-    return found[0] + (" and changes" if found[1] else "")
 
 
 def run(case, size, comm, say):
@@ -77,15 +62,14 @@ def run(case, size, comm, say):
 def as_table(case, size, ranks, seconds, found):
     """What is kept of a case: plain values for JSON."""
     names = {kind: name for name, kind in KINDS.items()}
-    processor, versions = machine()
     return {
         "name": case.name,
         "size": size,
         "ranks": ranks,
         "seconds": round(seconds, 1),
-        "commit": commit(),
-        "machine": processor,
-        "versions": versions,
+        "commit": machine.commit(),
+        "machine": machine.processor(),
+        "versions": machine.versions(),
         "date": datetime.date.today().isoformat(),
         "results": [{"kind": names[type(row)], **asdict(row)} for row in found],
     }

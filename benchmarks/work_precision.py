@@ -20,14 +20,13 @@ import importlib.util
 import json
 import math
 import os
-import platform
 import subprocess
 import sys
 import tempfile
 import time
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import machine
 import precision_cases
 import precision_plan
 import work_precision_page as page
@@ -229,35 +228,7 @@ def beaten(claims):
 
 
 def setting():
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-    return {
-        "processor": f"{model}, {len(os.sched_getaffinity(0))} cores",
-        "versions": f"Python {platform.python_version()}, " + ", ".join(versions()),
-        "commit": commit(),
-    }
-
-
-def versions():
-    for name in PACKAGES:
-        try:
-            yield f"{name} {version(name)}"
-        except PackageNotFoundError:
-            yield f"{name} not installed"
-
-
-def commit():
-    """The git hash, with + if the code has been changed since."""
-    try:
-        found = subprocess.run(
-            ["git", "rev-parse", "--short", "HEAD"], cwd=HERE, check=True, capture_output=True, text=True
-        )
-        changed = subprocess.run(
-            ["git", "diff", "--quiet", "HEAD", "--", "../pmpm", "."], cwd=HERE, check=False
-        ).returncode
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return found.stdout.strip() + ("+" if changed else "")
+    return {"processor": machine.processor(), "versions": machine.versions(PACKAGES), "commit": machine.commit()}
 
 
 def main():
