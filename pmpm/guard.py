@@ -6,8 +6,8 @@ Energy. Without work from outside the sum of kinetic, strain and potential energ
 scheme: symplectic Euler lets the energy of a wave swing by omega dt / 2 of itself. An unstable run feeds on that and grows.
 Every `guard.interval` steps a kernel sums the energy of the particles; what has been created since the run began is compared
 with the most that was in motion and in strain at any time. Sums are whole numbers of a small unit, added over layers
-and ranks in any order to the same bits, and arrive some steps later like all reductions. Where work from outside is not
-known (a body force, loads, walls and regions that move, gravity along a periodic axis) nothing is summed.
+and ranks in any order to the same bits, and arrive some steps later like all reductions. What body force and loads do, P2G
+tells; where other work is not known (walls and regions that move, gravity along a periodic axis) nothing is summed.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ MOST = (
     2**42
 )  # units of a layer, so that all layers fit into 64 bits; also what counts for energies that are not numbers
 NOISE = 1e-6  # of M c^2 that may always be created: strains of 1e-3
-KINETIC, STRAIN, POTENTIAL = range(3)
+KINETIC, STRAIN, POTENTIAL, WORK = range(4)
 
 
 # ---- time steps that shrink without end ------------------------------------------------------------------------------------
@@ -66,8 +66,6 @@ def unknown_work(scene):
     periodic = [axis for axis, pull in zip("xyz", gravity, strict=False) if pull and axis in scene.domain.periodic]
     moving = [face for face, wall in scene.domain.walls.items() if wall.velocity is not None]
     found = {
-        "a body force": scene.body_force is not None,
-        "loads": bool(scene.loads),
         "motions": bool(scene.motions),
         f"the moving wall {' and '.join(moving)}": bool(moving),
         f"gravity along the periodic axis {' and '.join(periodic)}": bool(periodic),
@@ -95,12 +93,14 @@ class EnergyWatch:
         self.most = MOST // simulation.geometry.layers
         self.pending: Pending | None = None
         self.unit, self.first, self.active = 0.0, 0, 0
+        self.work = 0  # units that body force and loads have put into the layers of this rank
 
     def begin(self, measured):
         """Count from a state of which `Simulation.measure` has told this."""
         self.unit = measured["mass"] * max(self.wave, measured["max_speed"]) ** 2 / UNITS
         found = [self.in_units(measured[name]) for name in ("kinetic", "strain", "potential")]
         self.pending, self.first, self.active = None, int(sum(found)), int(found[KINETIC] + found[STRAIN])
+        self.work = 0
 
     def in_units(self, joules):
         """Whole numbers of units, no more than fit; what is not a number counts as the most."""
@@ -109,8 +109,12 @@ class EnergyWatch:
         return np.where(np.isfinite(units), np.clip(units, -self.most, self.most), self.most).astype(np.int64)
 
     def sums(self, simulation):
-        """(3,) int64 kinetic, strain and potential energy of this rank's particles, in units."""
-        return self.in_units(simulation.energies()).sum(axis=0)
+        """(4,) int64 kinetic, strain and potential energy of this rank's particles, and the work done on them, in units."""
+        return np.append(self.in_units(simulation.energies()).sum(axis=0), self.work)
+
+    def note_work(self, works):
+        """Add (layers,) J that have been put into this rank's layers in a step."""
+        self.work += int(self.in_units(works).sum())
 
     def due(self, step):
         return self.pending is None and step % self.interval == 0
@@ -124,10 +128,20 @@ class EnergyWatch:
         if self.due(step):
             self.pending = Pending(step, handle=self.comm.start_sum(self.sums(simulation)))
 
+    def last_look(self, simulation):
+        """Judge the state at the end, however few steps there were. Collective."""
+        measured = simulation.measure()
+        found = [int(self.in_units(measured[name])) for name in ("kinetic", "strain", "potential")]
+        self.judge(simulation, simulation.step_count, np.array([*found, self.all_work()], np.int64))
+
+    def all_work(self):
+        """Units that body force and loads have put into all particles. Collective."""
+        return int(self.comm.sum(np.array([self.work], np.int64))[0])
+
     def judge(self, simulation, step, sums):
         """Raise NumericalFailure on all ranks if the sums of a step hold energy out of nothing."""
         self.active = max(self.active, int(sums[KINETIC] + sums[STRAIN]))
-        created = int(sums.sum()) - self.first
+        created = int(sums[KINETIC] + sums[STRAIN] + sums[POTENTIAL] - sums[WORK]) - self.first
         if created <= self.allowed * self.active + NOISE * UNITS:
             return
         cause = (
@@ -144,10 +158,17 @@ class EnergyWatch:
     def state(self):
         """What the next decisions depend on, as plain numbers. Collective."""
         pending = self.pending and [self.pending.step, *map(int, self.pending.arrived(self.comm))]
-        return {"unit": self.unit, "first": self.first, "active": self.active, "pending": pending}
+        return {
+            "unit": self.unit,
+            "first": self.first,
+            "active": self.active,
+            "work": self.all_work(),
+            "pending": pending,
+        }
 
     def resume(self, state):
         """Go on from what `state` gave."""
         self.unit, self.first, self.active = state["unit"], state["first"], state["active"]
+        self.work = state["work"] if self.comm.rank == 0 else 0
         pending = state["pending"]
         self.pending = pending and Pending(pending[0], values=np.array(pending[1:], np.int64))

@@ -68,7 +68,8 @@ class Energy(Numbers):
     unit: Size
     first: int
     active: int
-    pending: tuple[Count, int, int, int] | None
+    work: int
+    pending: tuple[Count, int, int, int, int] | None
 
 
 class Record(Numbers):

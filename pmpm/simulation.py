@@ -19,7 +19,7 @@ from pmpm import failure, guard, populate, readout, restart, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
-from pmpm.kernels.loops import EMPTY_BOX, FARTHEST, FORCES, SETTLED
+from pmpm.kernels.loops import EMPTY_BOX, FARTHEST, FORCES, SETTLED, WORKS
 from pmpm.kernels.places import TRAVEL
 from pmpm.parallel import comm as communication
 from pmpm.parallel.halo import Halo
@@ -118,6 +118,7 @@ class Simulation:
             self.geometry.layers, self.geometry.periodic[slab_axis], stencil.reach_low, stencil.reach_high, edges
         )
         self.first_layer, self.last_layer = self.slabs.owned(self.comm.rank)
+        self.works = np.zeros(self.last_layer - self.first_layer)
         self.patch = Patch(
             self.geometry,
             self.first_layer,
@@ -290,7 +291,8 @@ class Simulation:
         now = clock.perf_counter()
         extremes = np.zeros(REQUEST + 1)
         extremes[FAILED] = -math.inf
-        self.kernels.scratch[FORCES:] = 0.0
+        self.kernels.scratch[FORCES:WORKS] = 0.0
+        self.works[:] = 0.0
         self.failed.clear()
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
         self.drive.start(self.time)
@@ -298,7 +300,9 @@ class Simulation:
             self.keep_velocities(dt)
             now = self.timers.add("p2g before", now)
         runs = self.scatter(0, layers, dt)
-        extremes[FORCE] = self.kernels.scratch[FORCES:].max()
+        extremes[FORCE] = self.kernels.scratch[FORCES:WORKS].max()
+        if self.needs.driven and self.energy_watch is not None:
+            self.energy_watch.note_work(self.works)
         self.control.disorder.start(self.step_count + 1, runs, self.held)
         now = self.timers.add("p2g", now)
         posted = self.halo.start()
@@ -417,6 +421,7 @@ class Simulation:
                     patch.layer_boxes, number == len(kernels.p2g) - 1, halo.targets, patch.nodes, patch.boxes,
                     halo.unsummed, halo.slot_boxes, kernels.scratch, kernels.first_nodes, kernels.constants,
                     self.real(dt), self.dx, self.inv_dx, self.first_layer, self.real(self.time), self.drive.factor,
+                    self.works,
                 )  # fmt: skip
         return runs
 
@@ -505,6 +510,8 @@ class Simulation:
         while self.time < stop_time and self.step_count < stop_step and self.asked < STOP:
             self.step()
         self.check()
+        if self.finished and self.energy_watch is not None:
+            self.energy_watch.last_look(self)
 
     @property
     def finished(self):

@@ -82,10 +82,12 @@ def masses(simulation):
 
 
 class Watch:
-    """Looks at a simulation from time to time. `work`: a function of it, J put in by loads since the step before."""
+    """Looks at a simulation from time to time. `work`: a function of it, J put in by loads since the step before; `highest`:
+    what energy may rise to, of that at the start and the work."""
 
-    def __init__(self, simulation, invertible=False, work=None, with_energy=True):
+    def __init__(self, simulation, invertible=False, work=None, with_energy=True, highest=HIGHEST_ENERGY):
         self.simulation, self.invertible, self.work, self.with_energy = simulation, invertible, work, with_energy
+        self.highest = highest
         self.found = Found()
         self.masses, self.done = masses(simulation), 0.0
         self.before = None  # of a look in the step before: energies, and what they are compared with
@@ -116,7 +118,7 @@ class Watch:
         held = stored + 0.5 * (motion + energies(self.simulation)[0])
         ratio = 1.0 + (held - allowed) / self.most
         found.energy = ratio if math.isnan(ratio) else max(found.energy or 0.0, ratio)
-        found.claim(ratio <= HIGHEST_ENERGY, "energy from nowhere")
+        found.claim(ratio <= self.highest, "energy from nowhere")
         self.before = None
 
     def look_at_places(self):

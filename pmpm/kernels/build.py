@@ -151,6 +151,7 @@ def scene_choices(needs):
         "FORCED": needs.body_force is not None,
         "body_force": needs.body_force or loops.no_force,
         "LOADED": needs.loaded,
+        "DRIVEN": needs.driven,
         "PERIODIC_MIDDLE": not two and needs.periodic[middle],
         "PERIODIC_ROW": needs.periodic[row],
         "V_FIELD": vector,

@@ -46,6 +46,7 @@ from pmpm.kernels.loops import (
     PADDING,
     SETTLED,
     VOLUME_COLUMN,
+    WORKS,
     centre_of,
     fold_layer,
     load_parameters,
@@ -70,7 +71,7 @@ CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 # lets P2G tell volumes and divergences in place of masses and velocities.
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True
 BY_GRADIENT = True  # IMPULSE and not MLS
-DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = PERIODIC_MIDDLE = PERIODIC_ROW = False
+DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = PERIODIC_MIDDLE = PERIODIC_ROW = False
 FIELDS, V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 12, 2, 4, 8, 8, 8
 DIVERGENCE_FIELD = 8
 body_force = no_force
@@ -86,7 +87,7 @@ QUAD_F_SLAB, QUAD_F_MIDDLE, QUAD_F_ROW = 656, 720, 784
 GATHERED, GRADIENTS = 400, 656
 BEFORE, DIVERGENCES, CAUSES = 912, 1168, 1424
 AHEAD, LINE, LINES = 2, 8, 2  # blocks fetched ahead; reals of a cache line; lines per particle
-SCRATCH = FORCES + 16
+SCRATCH = WORKS + 16
 # Of the constants of a row: distances of its nodes, origins, then the coefficients of weights and slopes.
 ROW_DISTANCE, ROW_ORIGIN, ROW_WEIGHT, ROW_SLOPE = 0, 16, 32, 96
 CONSTANTS = 160
@@ -472,6 +473,7 @@ def momentum_block(
         tau = law.kirchhoff_stress(state, params)
         if VISCOUS:
             tau = la.add_symmetric(tau, law.viscous_stress(state, load_matrix(reals, o + 16 * C_FIELD), params))
+        before = v
         if FORCED:
             x, X = position_of(places, o, base, dx), load_vector(reals, o + 16 * REFERENCE_FIELD)
             b = body_force(x, X, time)
@@ -479,6 +481,9 @@ def momentum_block(
             store(table, FORCES, max(load(table, FORCES), where(lanes_below(count), la.dot(b, b), real(0.0))))
         if LOADED:
             v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, o + 16 * LOAD_FIELD))
+        if DRIVEN:
+            gain = 0.5 * mass * la.dot(la.add_scaled_vector(v, -1.0, before), la.add_scaled_vector(v, 1.0, before))
+            store(table, WORKS, load(table, WORKS) + where(lanes_below(count), gain, real(0.0)))
     if DIVERGENCE:
         mass, v = volume0, along_first(load(reals, o + 16 * DIVERGENCE_FIELD))
     store_constant(table, QUAD_CONSTANT, la.scale_vector(mass, v), mass)
@@ -501,6 +506,7 @@ def momentum_block(
 def p2g(
     reals, places, segments, layer_start, first_layer, last_layer, table, windows, boxes, folds, targets, nodes,
     plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx, layer_node, time, load_factor,
+    works,
 ):  # fmt: skip
     """See loops.py for what the arguments are."""
     before = flush_denormals()
@@ -514,6 +520,8 @@ def p2g(
         lowest_middle = lowest_row = in_all_lanes(FARTHEST_NODE)
         highest_middle = highest_row = in_all_lanes(NEAREST_NODE)
         rows, held = empty_stencil(), NOWHERE
+        if DRIVEN:
+            store(scratch, WORKS, in_all_lanes(real(0.0)))
         for s in range(layer_start[layer], layer_start[layer + 1]):
             block, left, body = segments[s, 0], segments[s, 1], segments[s, 2]
             mass, volume0, params = table[body, MASS_COLUMN], table[body, VOLUME_COLUMN], load_parameters(table, body)
@@ -551,6 +559,9 @@ def p2g(
                 boxes[layer, 0], boxes[layer, 1] = 0, 1
             boxes[layer, 2] = min(boxes[layer, 2], smallest_lane(lowest_row))
             boxes[layer, 3] = max(boxes[layer, 3], largest_lane(highest_row) + 4)
+        if DRIVEN:
+            for lane in range(16):
+                works[layer] += scratch[WORKS + lane]
         if folds:
             fold_layer(windows[place_of_window], boxes[layer], targets[layer], nodes, plane_boxes, unsummed, slot_boxes)
     restore_denormals(before)

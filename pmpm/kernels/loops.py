@@ -13,7 +13,7 @@ P2G adds the particles of layers first_layer .. last_layer - 1 (counted from thi
 planes each layer can touch, `windows[(layer - first_layer) % number of windows]`, and widens `boxes[layer]`. The law that
 comes last `folds`: it adds each layer's planes to the nodes, layer after layer, and clears them for the next use. P2G returns
 the number of runs of particles with the same stencil. Of a body force it leaves max |b|^2 in `scratch`, in FORCES and the 15
-reals behind it.
+reals behind it; what body force and loads do to the particles of a layer, in J, is added to `works[layer]`.
 
 `layer_node` is the global number of this rank's first layer, `time` that of the step's beginning, `load_factor` the part of
 the loads that acts. Schemes that blend velocities run P2G twice: without impulses first, for `nodes_before`.
@@ -40,7 +40,7 @@ SETTLED = 32  # the farthest right after a regroup
 OVERFLOW = 125  # cells from the base that fit into the integers of float32 places
 CAUSE_POSITION, CAUSE_STATE, CAUSE_LEFT = 1, 2, 3  # why a particle stops the run
 NOWHERE = -1
-FORCES = 1440  # of `scratch`, behind the columns that the fast loops work in
+FORCES, WORKS = 1440, 1456  # of `scratch`, behind the columns that the fast loops work in
 EMPTY_BOX = (1 << 30, 0, 1 << 30, 0)
 wall, image, TWO_SIDED = boundary.wall_stick, boundary.image_reversed, True
 BEYOND = 1

@@ -153,6 +153,11 @@ class Needs:
         return tuple(name for name, needed in carries.items() if needed)
 
     @property
+    def driven(self):
+        """Whether something that P2G adds does work on the particles."""
+        return self.loaded or self.body_force is not None
+
+    @property
     def stencil(self):
         return STENCILS[self.shape_function]
 

@@ -40,7 +40,7 @@ NODES, MIDDLE_NODES, INERTIA = 3, 1, 4.0
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True  # see lane_loops
-DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = PERIODIC_MIDDLE = PERIODIC_ROW = False
+DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = PERIODIC_MIDDLE = PERIODIC_ROW = False
 V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 2, 4, 8, 8, 8
 BY_GRADIENT, DIVERGENCE_FIELD = True, 8
 body_force, along_first = loops.no_force, None
@@ -163,6 +163,7 @@ along_axes, stencil_node = along_axes_2, stencil_node_2
 def p2g(
     reals, places, segments, layer_start, first_layer, last_layer, table, windows, boxes, folds, targets, nodes,
     plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx, layer_node, time, load_factor,
+    works,
 ):  # fmt: skip
     before = flush_denormals()
     runs = 0
@@ -186,6 +187,7 @@ def p2g(
                         tau = la.add_symmetric(
                             tau, law.viscous_stress(state, load_matrix(reals, block, C_FIELD, lane), params)
                         )
+                    before_forces = v
                     if FORCED:
                         base = node_of_segment(layer_node + layer, segments[s, 3], segments[s, 4])
                         x = cells_to_metres(along_axes(cells_of, place), base, dx)
@@ -195,6 +197,9 @@ def p2g(
                         scratch[FORCES] = max(scratch[FORCES], la.dot(b, b))
                     if LOADED:
                         v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, block, LOAD_FIELD, lane))
+                    if DRIVEN:
+                        gained = la.add_scaled_vector(v, -1.0, before_forces)
+                        works[layer] += 0.5 * mass * la.dot(gained, la.add_scaled_vector(v, 1.0, before_forces))
                 if DIVERGENCE:
                     mass, v = volume0, along_first(reals[block, DIVERGENCE_FIELD, lane])
                 momentum = la.scale_vector(mass, v)
