@@ -14,8 +14,8 @@ from .scenes import box, simulation, solid
 CELLS, CELL = 32, 1.0
 NOISE, GROWN = 1e-10, 100.0  # of J at the start; as many times as that is growth
 STEPS, LOOKS = 10_000, 100
-# Of the energy: a lone particle swings with the highest frequency that there is, omega dt = 0.8 at cfl 0.4, and (omega dt)^2 / 4
-# is what the mean over a step leaves of the swing of symplectic Euler's energy.
+# Of the energy: a lone particle swings with the highest frequency that there is, omega dt = 0.8 at cfl 0.4, and
+# (omega dt)^2 / 4 is what the mean over a step leaves of the swing of symplectic Euler's energy.
 SWINGING = 1.2
 FLIGHT = np.array([0.02, 0.007])  # of the wave speed
 PLACES = {"on a node": 0.0, "in the middle": 0.5, "1e-8 from a node": 1e-8, "1e-12 from a node": 1e-12}
