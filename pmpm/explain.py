@@ -19,14 +19,7 @@ WITHIN = 1e-6  # a run in float32 knows the stable step no better
 def explain(scene, ranks):
     """Text of `pmpm check`: particles, memory per rank, time step, what particles hold, which kernels there are, and what was
     left out. Raises SceneError."""
-    from pmpm.scene.needs import grid_geometry, law_table, scene_needs
-
-    needs = scene_needs(scene)
-    geometry = grid_geometry(scene, needs)
-    tables = [law_table(scene, law) for law in needs.laws]
-    dt = estimate.first_step(scene, needs, tables)
-    estimate.refuse_steps(scene.time, dt)
-    refuse_fixed_step(scene, needs, tables)
+    needs, geometry, dt = first_look(scene)
     counted = estimate.places_to_try(scene) <= estimate.MOST_COUNTED
     counts = rehearse(scene, geometry) if counted else estimate.particles(scene)
     total, ranks = counts.sum(), max(ranks, 1)
@@ -51,6 +44,20 @@ def explain(scene, ranks):
         *(f"  {who:20s} {', '.join(names)}" for who, names in compiled_kernels(scene, needs, ranks).items()),
     ]
     return "\n".join(lines)
+
+
+def first_look(scene):
+    """(needs, geometry, first time step in s) of a scene. Raises SceneError for what a run would refuse at its start, but for
+    memory."""
+    from pmpm.scene.needs import grid_geometry, law_table, scene_needs
+
+    needs = scene_needs(scene)
+    geometry = grid_geometry(scene, needs)
+    tables = [law_table(scene, law) for law in needs.laws]
+    dt = estimate.first_step(scene, needs, tables)
+    estimate.refuse_steps(scene.time, dt)
+    refuse_fixed_step(scene, needs, tables)
+    return needs, geometry, dt
 
 
 def count_text(number):

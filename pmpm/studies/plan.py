@@ -6,13 +6,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from pmpm import estimate
-from pmpm.explain import refuse_fixed_step
+from pmpm.explain import first_look
 from pmpm.kernels.needs import TRANSFERS
 from pmpm.restart import EITHER_OR
 from pmpm.scene.errors import SceneError
 from pmpm.scene.materials import PythonMaterial
 from pmpm.scene.messages import known_text
-from pmpm.scene.needs import grid_geometry, law_table, scene_needs
 from pmpm.scene.recorded import PREFIX
 from pmpm.scene.schema import Scene
 
@@ -232,11 +231,6 @@ def held(original, key):
 
 def cost(scene, comm):
     """(steps, particles) of a run, about. Collective. Raises SceneError for what would be refused at its start."""
-    needs = scene_needs(scene)
-    geometry = grid_geometry(scene, needs)
-    tables = [law_table(scene, law) for law in needs.laws]
-    dt = estimate.first_step(scene, needs, tables)
-    estimate.refuse_steps(scene.time, dt)
-    refuse_fixed_step(scene, needs, tables)
+    needs, geometry, dt = first_look(scene)
     estimate.refuse_memory(scene, needs, geometry, comm)
     return math.ceil(scene.time.end / dt), float(estimate.particles(scene).sum())
