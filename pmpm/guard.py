@@ -18,9 +18,8 @@ from pmpm.timestep import BOUNDS, LAG, Pending
 
 CRAWL = 1e-4  # of the step the start: snow crushed to half its volume hardens waves to 1/150 of it
 UNITS = 2.0**36  # in M c^2, M the mass of all particles and c their fastest wave at rest, or their speed at the start
-MOST = (
-    2**42
-)  # units of a layer, so that all layers fit into 64 bits; also what counts for energies that are not numbers
+# Units of all layers together; a layer's part of it also stands for an energy that is not a number.
+MOST = 2**61
 NOISE = 1e-6  # of M c^2 that may always be created: strains of 1e-3
 KINETIC, STRAIN, POTENTIAL, WORK = range(4)
 
