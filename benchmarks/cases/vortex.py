@@ -135,7 +135,7 @@ CELLS = {"tiny": (20, 40), "standard": (20, 40, 80), "sweep": (20, 40, 80, 160)}
 SCHEMES = (("mls", "quadratic"), ("apic", "quadratic"), ("mls", "cubic"), ("flip", "quadratic"), ("pic", "quadratic"))
 TIMES = 50  # at which errors are taken
 STRETCHED = (
-    "the step follows the waves, which stretch makes up to 7 A times faster; at A = 1 a run may stop, with a message"
+    "the step follows the waves, up to 7 A times faster where stretched; at A = 1 a run may stop, with a message"
 )
 STRONG = {"tiny": (1.0,), "standard": (0.5, 1.0), "sweep": (0.5, 1.0)}
 
@@ -216,7 +216,8 @@ largest shear is 7.05 A. Steps of 0.2 of the stable one at A = 0.1, 0.4 else; er
 
 Particles per cell matter more than anything else. Free edges are a staircase of particles: with 2 per axis its error hides the
 second order of the schemes, whatever the step, and with 4 per axis it does not. At A = 0.5 (shear 3.5) 4 particles per cell
-drift apart until a stretched cell holds too few of them, and the error is larger than the motion; with 16 it is about 1 %. At A = 1 (shear 7) 16 no longer do.
+drift apart until a stretched cell holds too few of them, and the error is larger than the motion; with 16 it is about 1 %.
+At A = 1 (shear 7) 16 no longer do.
 """
 
 CASE = Case("V2", "Generalized vortex", ABOUT, verify)
