@@ -386,10 +386,6 @@ gamma = 7.
 - The degree of the spline does not raise the order above 2, and quadratic splines have the smaller constant. What cubic
   ones buy is a lower floor, where the sum over particles no longer stands for the integral: e_F of quadratic ones stays near
   0.02 at A k = 0.1. With more particles per cell that floor sinks.
-- The fluid between slip walls falls short of second order. Its J is multiplied by 1 + tr G, the volume that its particles
-  move into by det(I + G), G being the gradient of velocity times dt: a difference of first order in dt, which pressure turns
-  into displacement. With det(I + G) in its place the same runs have e_u = 0.0013 at 64 cells instead of 0.0022, and order 2.0;
-  with half the step and 1 + tr G, 0.0017.
 - Linear splines are of second order until particles cross cells, then diverge.
 - PIC's filter is a viscosity dx^2 / (4 dt): the smaller the step, the larger the error.
 - Velocities of symplectic Euler belong half a step before positions. Where the displacement does not start at zero (phi not 0)
