@@ -166,3 +166,21 @@ def test_the_wave_speed_bounds_what_a_particle_alone_swings_with(J):
     params, eps = (1000.0, 7.0, 0.0), 1e-6
     ends = [fluid.kirchhoff_stress((J * math.exp(sign * eps),), params)[0] for sign in (1.0, -1.0)]
     assert fluid.wave_speed_squared((J,), params, 1.0) >= (ends[0] - ends[1]) / (2.0 * eps) * (1.0 - 1e-6)
+
+
+def test_a_drop_that_flies_apart_for_long_stays_a_number():
+    # A lone particle's velocity gradient lasts: J would grow by e every 0.1 s, and pass the range of float32 after 9 s.
+    scene = pmpm.Scene(
+        domain={"size": [24.0, 24.0], "cell_size": 1.0},
+        method={"precision": "float32"},
+        time={"end": 100.0},
+        materials={"m": {"model": "fluid", "density": 1000.0, "sound_speed": 10.0}},
+        bodies=[
+            {"material": "m", "shape": {"type": "box", "min": [8.0, 8.0], "max": [9.0, 9.0]}, "particles_per_cell": 1}
+        ],
+    )
+    simulation = pmpm.Simulation(scene)
+    simulation.particles.C = np.array([[[5.0, 0.0], [0.0, 5.0]]])
+    simulation.run(until=10.0)
+    assert simulation.particles.J[0] == fluid.LARGEST
+    assert np.isfinite(simulation.particles.v).all()

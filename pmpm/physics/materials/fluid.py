@@ -41,6 +41,7 @@ VISCOUS = False
 TENSION_CUTOFF = True
 SOUND_OF_FLOW = 10.0  # sound speed over flow speed: the density varies by its inverse square, 1 %
 NEWTON_STEPS = 6  # to round-off from where weight / gamma, the compression at rest stiffness, is up to 1
+LARGEST = 1e6  # of J: a drop that flies apart for long would leave the range of float32
 SMALLEST = 1e-4  # volume ratios below it only keep the logarithm finite until `valid` stops the run
 
 
@@ -138,7 +139,7 @@ def out_of_plane_stress(state, params):
 def advance(state, G, dt, params):
     """J det(I + G): the volume that particles move into; 1 + tr G misses it by as much as dt, and errors with it."""
     (J,) = state
-    return (J * la.det(la.identity_plus(G)),)
+    return (min(J * la.det(la.identity_plus(G)), LARGEST),)
 
 
 def valid(state):
