@@ -255,7 +255,7 @@ The mean is over space, sum J sigma / sum J. Behind a strong shock particles kee
 mean over mass lies above the exact pressure: by 5 % in a fluid at V = 5 c, where the mean over space is off by 1 %. The
 oscillations are what is left of the energy that a real shock turns into heat. There is no artificial viscosity of the kind
 of von Neumann and Richtmyer (not built): PIC, or a fluid's `viscosity`, take them away. A fixed corotated solid at V >= c
-has no shock. It is crushed to J near zero without inversion, finite and without a gain of energy.
+has no shock. It is crushed to a J that is zero but for 1e-20 and less, of either sign, finite and without a gain of energy.
 """
 
 CASE = Case("V5", "Waves and impact shocks", ABOUT, verify)
