@@ -9,6 +9,8 @@ from pmpm.physics.materials import law_of
 from pmpm.state.derived import MASS
 from pmpm.state.fields import OPTIONAL, Field
 
+CRUSHED = 0.01  # of the volume: no solid or liquid there is
+
 
 def order(simulation):
     """Permutation that puts the laws' particles, one law after another, into the one global order."""
@@ -93,6 +95,20 @@ def total_mass(simulation):
         counts = np.bincount(population.per_particle(population.block_row), minlength=len(table))
         found.append(simulation.comm.sum(counts) * table[:, MASS])
     return math.fsum(np.concatenate(found))
+
+
+def crushed(simulation):
+    """{material: (particles that hold less than CRUSHED of their volume, smallest J)} of materials with such. Collective."""
+    names = simulation.material_names
+    counts, smallest = np.zeros(len(names), np.int64), np.full(len(names), np.inf)
+    of_body = np.array([names.index(body.material) for body in simulation.scene.bodies])
+    for derived in simulation.derived(np.float64):
+        J, population = np.abs(derived.J()), derived.population
+        material = of_body[population.per_particle(population.block_row)]
+        counts += np.bincount(material[J < CRUSHED], minlength=len(names))
+        np.minimum.at(smallest, material, J)
+    counts, smallest = simulation.comm.sum(counts), -simulation.comm.max(-smallest)
+    return {name: (int(counts[n]), float(smallest[n])) for n, name in enumerate(names) if counts[n]}
 
 
 def total_energy(measured):

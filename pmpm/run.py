@@ -134,6 +134,8 @@ class Outputs:
             snapshots(simulation)
             diagnostics(simulation)
         self.progress.finish(simulation)
+        for note in simulation.closing_notes:
+            self.progress.stage(note)
 
     def answer(self, simulation):
         """Do what all ranks have agreed on, and pass on what this rank is asked for."""

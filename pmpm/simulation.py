@@ -619,6 +619,15 @@ class Simulation:
             found.append(f"warning: {self.beyond_text(bound)}, and forced")
         return found
 
+    @property
+    def closing_notes(self):
+        """What a user should know about the state that has been reached, one line each. Collective."""
+        return [
+            f"warning: {count} particles of {material} are crushed below {readout.CRUSHED:.0%} of their volume, down to J = "
+            f"{smallest:.2g}: more than the law can carry"
+            for material, (count, smallest) in readout.crushed(self).items()
+        ]
+
     def report(self):
         """What run.json says about the run; collective."""
         compiled, loaded = targets.count_cache(self.kernels.entries.values())

@@ -314,3 +314,15 @@ def test_the_failed_state_and_the_newest_checkpoint_are_named(tmp_path):
                  body=BLOCK | {"velocity": lambda X: 0.01 * np.sin(np.pi * (X - 12.0) / 8.0)})  # fmt: skip
     with pytest.raises(NumericalFailure, match=r"its state is in .*failed.hdf; the newest good checkpoint is .*\.hdf"):
         run_scene(made, tmp_path / "run", Alone(), quiet=True)
+
+
+def test_a_run_that_crushes_material_to_nothing_says_so_at_its_end():
+    simulation = pmpm.Simulation(scene(RUBBER | {"model": "fixed_corotated"}))
+    assert simulation.closing_notes == []
+    F = np.tile(np.eye(2), (len(simulation.particles.id), 1, 1))
+    F[:3] = [[1e-5, 0.0], [0.0, 1.0]]
+    F[3] = [[-1e-7, 0.0], [0.0, 1.0]]
+    simulation.particles.F = F
+    assert simulation.closing_notes == [
+        "warning: 4 particles of m are crushed below 1% of their volume, down to J = 1e-07: more than the law can carry"
+    ]
