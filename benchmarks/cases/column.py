@@ -178,8 +178,8 @@ def settled(column, cells, comm=None, **keys):
 
 
 def collapsed(column, cells, comm=None, **keys):
-    """(lowest J, largest speed over the speed of sound, nothing but numbers, whether the run speaks of it at its end) of a column
-    that nothing holds up."""
+    """What becomes of a column that nothing holds up: (lowest J, largest speed over the speed of sound, nothing but numbers,
+    whether the run speaks of it at its end)."""
     simulation = pmpm.Simulation(scene(column, cells, **keys), comm)
     simulation.run()
     J, x, v, sigma = by_id(simulation, "J", "x", "velocity", "stress")
