@@ -18,6 +18,7 @@ class Drive:
         self.regions = [Region(motion, self.dim) for motion in scene.motions]
         self.time, self.factor = 0.0, real(1.0)
         self.largest_load = 0.0  # m/s2, of any particle; whoever fills the simulation tells
+        self.pull = float(np.linalg.norm(self.gravity))
 
     def meet(self, geometry, patch, walls):
         """Take note of a new patch and its walls."""
@@ -41,7 +42,7 @@ class Drive:
 
     def acceleration(self, time):
         """Bound in m/s2 of what gravity and loads give a particle."""
-        return self.grown(time) * (float(np.linalg.norm(self.gravity)) + self.largest_load)
+        return self.grown(time) * (self.pull + self.largest_load)
 
     def finish(self, dt):
         """Let regions travel through a step."""

@@ -113,7 +113,8 @@ class EnergyWatch:
 
     def note_work(self, works):
         """Add (layers,) J that have been put into this rank's layers in a step."""
-        self.work += int(self.in_units(works).sum())
+        units = float(np.rint(works / self.unit).sum())
+        self.work += int(units) if abs(units) < self.most else 0
 
     def due(self, step):
         return self.pending is None and step % self.interval == 0

@@ -301,24 +301,25 @@ class Simulation:
             now = self.timers.add("p2g before", now)
         runs = self.scatter(0, layers, dt)
         extremes[FORCE] = self.kernels.scratch[FORCES:WORKS].max()
-        if self.needs.driven and self.energy_watch is not None:
+        if self.energy_watch is not None and self.needs.driven:
             self.energy_watch.note_work(self.works)
         self.control.disorder.start(self.step_count + 1, runs, self.held)
         now = self.timers.add("p2g", now)
         posted = self.halo.start()
         now = self.timers.add("halo", now)
 
-        shared = self.needs.stencil.window - 1
-        low, high = shared * self.halo.low_shared, shared * self.halo.high_shared
-        inner = (low, max(low, layers - high))
-        if self.needs.f_bar:  # averages come first: nothing to do meanwhile
+        if self.needs.f_bar or self.comm.size == 1:  # averages come first, or nobody to wait for: nothing to do meanwhile
             self.halo.finish(posted)
             self.widen_boxes()
             self.update_planes(0, planes, dt)
-            self.average_divergence(dt)
+            if self.needs.f_bar:
+                self.average_divergence(dt)
             self.g2p(0, layers, dt, extremes)
             self.end_step(dt, extremes, now)
             return
+        shared = self.needs.stencil.window - 1
+        low, high = shared * self.halo.low_shared, shared * self.halo.high_shared
+        inner = (low, max(low, layers - high))
         self.widen_boxes()
         self.update_planes(low, planes - high, dt)
         self.g2p(*inner, dt, extremes)
@@ -340,7 +341,7 @@ class Simulation:
         if self.failure is not None:
             extremes[FAILED] = -self.failure["step"]
         extremes[REQUEST], self.request = self.request, 0
-        extremes[GRADIENT] /= np.square(np.float64(dt))
+        extremes[GRADIENT] /= float(dt) ** 2
         self.drive.finish(dt)
         self.control.start(self.step_count + 1, float(dt), extremes)
         self.timers.add("g2p", began)
