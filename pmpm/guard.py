@@ -16,11 +16,12 @@ from pmpm import estimate, failure
 from pmpm.physics.materials import law_of
 from pmpm.timestep import BOUNDS, LAG, Pending
 
-CRAWL = 1e-4  # of the step the start: snow crushed to half its volume hardens waves to 1/150 of it
+CRAWL = 1e-4  # of the step at the start: snow crushed to half its volume hardens waves to 1/150 of it
 UNITS = 2.0**36  # in M c^2, M the mass of all particles and c their fastest wave at rest, or their speed at the start
 # Units of all layers together; a layer's part of it also stands for an energy that is not a number.
 MOST = 2**61
 NOISE = 1e-6  # of M c^2 that may always be created: strains of 1e-3
+BEYOND_INTERVAL = 8  # steps, of those that are longer than the stable one
 KINETIC, STRAIN, POTENTIAL, WORK = range(4)
 
 
@@ -116,8 +117,11 @@ class EnergyWatch:
         units = float(np.rint(works / self.unit).sum())
         self.work += int(units) if abs(units) < self.most else 0
 
-    def due(self, step):
-        return self.pending is None and step % self.interval == 0
+    def due(self, simulation):
+        """Whether to sum after this step: more often where it was longer than the stable one, by the scene's own wish."""
+        beyond = simulation.dt > simulation.control.shortest
+        interval = min(self.interval, BEYOND_INTERVAL) if beyond else self.interval
+        return self.pending is None and simulation.step_count % interval == 0
 
     def after(self, simulation):
         """Look after a step: collect what was started LAG steps ago, and start anew when it is due. Collective."""
@@ -125,7 +129,7 @@ class EnergyWatch:
         if self.pending is not None and step >= self.pending.step + LAG:
             counted, self.pending = self.pending, None
             self.judge(simulation, counted.step, counted.arrived(self.comm))
-        if self.due(step):
+        if self.due(simulation):
             self.pending = Pending(step, handle=self.comm.start_sum(self.sums(simulation)))
 
     def last_look(self, simulation):

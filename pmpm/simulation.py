@@ -285,6 +285,8 @@ class Simulation:
             began += self.look_at_energy(self.energy_watch)
         self.stretch[0] += 1
         self.stretch[1] += clock.perf_counter() - began
+        if self.finished and self.energy_watch is not None:
+            self.energy_watch.last_look(self)
         self.call_observers()
 
     def advance(self, dt):
@@ -349,7 +351,7 @@ class Simulation:
     def look_at_energy(self, watch):
         """Let the guard see the energy when it is due; returns the seconds that its kernels took to compile."""
         compiling = 0.0
-        if watch.due(self.step_count) and not self.energies_ready:
+        if watch.due(self) and not self.energies_ready:
             began = clock.perf_counter()
             self.in_turn(lambda: self.energies(0))
             self.energies_ready, compiling = True, clock.perf_counter() - began
@@ -511,8 +513,6 @@ class Simulation:
         while self.time < stop_time and self.step_count < stop_step and self.asked < STOP:
             self.step()
         self.check()
-        if self.finished and self.energy_watch is not None:
-            self.energy_watch.last_look(self)
 
     @property
     def finished(self):

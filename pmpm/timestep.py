@@ -113,6 +113,7 @@ class StepControl:
         self.travel = 0.0
         self.regrouped(0)
         self.begun = self.asked = 0
+        self.shortest = math.inf  # s, of the bounds for the step last chosen
         self.speed = self.wave = self.gradient = self.force = 0.0
 
     def begin(self, step, maxima):
@@ -127,7 +128,9 @@ class StepControl:
 
     def bounds(self, driven):
         """The longest step in s by each of BOUNDS; `driven`: acceleration by gravity and loads, m/s2."""
-        return stable_bounds(self.cell_size, self.dim, self.wave, self.speed, driven + self.force, self.gradient)
+        found = stable_bounds(self.cell_size, self.dim, self.wave, self.speed, driven + self.force, self.gradient)
+        self.shortest = min(found)
+        return found
 
     def stable_step(self, driven):
         """The step in s that cfl and the bounds allow."""

@@ -29,7 +29,7 @@ FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "densit
 CFL = 0.4
 DEPTHS = 16  # at which a stress is tried
 FLIP_BLEND = 0.99
-ENERGY_GAIN = 0.5
+ENERGY_GAIN = 0.3
 SNAPSHOTS, DIAGNOSTICS = 50, 200
 WALL_INTERVAL = 1800.0
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.

@@ -188,13 +188,13 @@ def shaking(step_ratio, guarded, transfer="apic", end=100.0, **parts):
     return simulation
 
 
-def test_energy_out_of_nothing_stops_the_run_within_the_interval():
-    simulation = shaking(1.4, {"interval": 10})
+def test_energy_out_of_nothing_stops_the_run_within_the_interval_of_forced_steps():
+    simulation = shaking(1.4, {})
     with pytest.raises(NumericalFailure) as failure:
         simulation.run(steps=400)
     text = str(failure.value)
-    grown = int(re.search(r"out of nothing by step (\d+), more than guard.energy_gain = 0.5 of the", text).group(1))
-    assert grown % 10 == 0
+    grown = int(re.search(r"out of nothing by step (\d+), more than guard.energy_gain = 0.3 of the", text).group(1))
+    assert grown % guard.BEYOND_INTERVAL == 0
     assert simulation.step_count == grown + 2
     assert re.match(rf"step {grown + 3}, t = \S+ s, rank 0: particle \d+ of material m at \(", text)
 
@@ -204,6 +204,14 @@ def test_without_the_guard_the_same_run_goes_wrong_in_silence():
     started = readout.total_energy(simulation.measure())
     simulation.run(steps=400)
     assert readout.total_energy(simulation.measure()) > 100.0 * started
+
+
+@pytest.mark.parametrize(("ratio", "looks"), [(0.9, 1), (1.1, 12)])
+def test_steps_beyond_the_stable_one_are_looked_at_more_often(ratio, looks, monkeypatch):
+    simulation, judged = shaking(ratio, {"interval": 90}), []
+    monkeypatch.setattr(simulation.energy_watch, "judge", lambda simulation, step, sums: judged.append(step))
+    simulation.run(steps=100)
+    assert len(judged) == looks
 
 
 def created(simulation, steps):
@@ -257,8 +265,8 @@ def test_the_work_of_body_force_and_loads_is_known(loops, monkeypatch):
 
 def test_a_run_of_few_steps_is_looked_at_when_it_ends():
     probe = stable_step(pmpm.Simulation(scene()))
-    simulation = shaking(1.45, {"interval": 1000}, end=45.5 * 1.45 * probe)
-    with pytest.raises(NumericalFailure, match="out of nothing by step 46"):
+    simulation = shaking(1.45, {"interval": 1000}, end=21.5 * 1.45 * probe)
+    with pytest.raises(NumericalFailure, match="out of nothing by step 22"):
         simulation.run()
 
 
