@@ -16,7 +16,7 @@ from pmpm import estimate, failure
 from pmpm.physics.materials import law_of
 from pmpm.timestep import BOUNDS, LAG, Pending
 
-CRAWL = 1e-4  # of the step at the start: snow crushed to half its volume hardens waves to 1/150 of it
+CRAWL = 1e-4  # of the step at the start: snow of xi = 10 crushed to nothing has waves exp(xi / 2) = 150 times as fast
 UNITS = 2.0**36  # in M c^2, M the mass of all particles and c their fastest wave at rest, or their speed at the start
 # Units of all layers together; a layer's part of it also stands for an energy that is not a number.
 MOST = 2**61

@@ -260,10 +260,11 @@ class Simulation:
     def choose_step(self):
         """dt of the next step in s. Raises NumericalFailure if it has fallen below what the scene allows."""
         driven = self.drive.acceleration(self.time)
-        crawls = self.control.fixed_step is None and self.control.stable_step(driven) < self.smallest_step
+        dt = self.control.choose(self.time, driven)
+        crawls = self.control.fixed_step is None and self.control.stable < self.smallest_step
         if crawls and self.step_count >= self.control.begun + LAG:  # G2P first, which tells a state that is not valid
             guard.stop_crawling(self, driven)
-        return self.control.choose(self.time, driven)
+        return dt
 
     # ---- one time step ----
 

@@ -113,7 +113,7 @@ class StepControl:
         self.travel = 0.0
         self.regrouped(0)
         self.begun = self.asked = 0
-        self.shortest = math.inf  # s, of the bounds for the step last chosen
+        self.shortest = self.stable = math.inf  # s, of the bounds for the step last chosen, and what cfl makes of them
         self.speed = self.wave = self.gradient = self.force = 0.0
 
     def begin(self, step, maxima):
@@ -135,7 +135,8 @@ class StepControl:
     def stable_step(self, driven):
         """The step in s that cfl and the bounds allow."""
         waves, *others = self.bounds(driven)
-        return min(self.cfl * waves, *others)
+        self.stable = min(self.cfl * waves, *others)
+        return self.stable
 
     def choose(self, time, driven):
         """dt of the next step in s."""
@@ -144,8 +145,10 @@ class StepControl:
 
     def exceeds(self, driven):
         """The longest stable step in s if the user's fixed step is longer than it, else None."""
+        if self.fixed_step is None:
+            return None
         bound = min(self.bounds(driven))
-        return bound if self.fixed_step is not None and self.fixed_step > bound else None
+        return bound if self.fixed_step > bound else None
 
     def move_bound(self, dt):
         """Cells a particle may move in a step of dt."""

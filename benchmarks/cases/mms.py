@@ -14,7 +14,6 @@ from Div P = -rho0 k^2 m_i u_i, P_ii the derivative of the energy. One function 
 
 import math
 from dataclasses import dataclass
-from types import FunctionType
 
 import numpy as np
 
@@ -173,7 +172,7 @@ class AxisAligned:
             "MODULI": self.moduli,
         }
         source = force_2d if self.dim == 2 else force_3d
-        return FunctionType(source.__code__, source.__globals__ | names, source.__name__)
+        return cases.with_globals(source, **names)
 
     def scene(
         self,

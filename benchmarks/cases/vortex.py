@@ -10,7 +10,6 @@ exact, in the turned frame, does not depend on lam:
 
 import math
 from dataclasses import dataclass
-from types import FunctionType
 
 import numpy as np
 
@@ -87,7 +86,7 @@ class Vortex:
     @property
     def body_force(self):
         """The function b(x, X, t) of this solution, which kernels can compile."""
-        return FunctionType(force.__code__, force.__globals__ | {"AMPLITUDE": self.amplitude}, force.__name__)
+        return cases.with_globals(force, AMPLITUDE=self.amplitude)
 
     def scene(
         self,
