@@ -83,9 +83,8 @@ def memory_lines(taken, ranks):
 def refuse_fixed_step(scene, needs, tables):
     """Raise SceneError where a fixed step is beyond the stable one already of undeformed particles at rest."""
     stressed = any(b.deformation is not None or b.stress is not None or b.pressure != "zero" for b in scene.bodies)
-    if (
-        scene.time.step is None or scene.time.force_step or stressed
-    ):  # of stressed particles only the run knows the waves
+    # Of stressed particles only the run knows the waves.
+    if scene.time.step is None or scene.time.force_step or stressed:
         return
     bound = min(estimate.stable_bounds(scene, needs, tables))
     if scene.time.step > bound * (1.0 + WITHIN):

@@ -153,11 +153,8 @@ class EnergyWatch:
             f"guard.energy_gain = {self.allowed:g} of the {self.active * self.unit:.4g} J in motion and strain: the run is "
             "unstable, and this particle holds most of it"
         )
-        held = [
-            d.mass() * d.speed() ** 2 / 2 + d.volume0() * d.evaluate("energy", d.params)
-            for d in simulation.derived(np.float64)
-        ]
-        failure.stop_at_largest(simulation, held, cause)
+        totals = [d.totals(simulation.drive.gravity) for d in simulation.derived(np.float64)]
+        failure.stop_at_largest(simulation, [found["kinetic"] + found["strain"] for found in totals], cause)
 
     def state(self):
         """What the next decisions depend on, as plain numbers. Collective."""

@@ -311,9 +311,8 @@ class Simulation:
         posted = self.halo.start()
         now = self.timers.add("halo", now)
 
-        if (
-            self.needs.f_bar or self.comm.size == 1
-        ):  # averages come first, or nobody to wait for: nothing to do meanwhile
+        # Averages come first, or there is nobody to wait for: nothing to do meanwhile.
+        if self.needs.f_bar or self.comm.size == 1:
             self.halo.finish(posted)
             self.widen_boxes()
             self.update_planes(0, planes, dt)

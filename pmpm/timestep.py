@@ -27,16 +27,8 @@ MARGIN = 1.5  # growth of the largest speed that is allowed for between two redu
 # and what a rank has been asked for.
 SPEED, WAVE, DRIFT, GRADIENT, FORCE, FAILED, REQUEST = range(7)
 BOUNDS = ("waves", "speed", "acceleration", "strain")
-NUMBERS = (
-    "speed",
-    "wave",
-    "gradient",
-    "force",
-    "travel",
-    "drift",
-    "drift_travel",
-    "regroup_travel",
-)  # of StepControl, beside its counts
+# Of StepControl, beside its counts.
+NUMBERS = ("speed", "wave", "gradient", "force", "travel", "drift", "drift_travel", "regroup_travel")
 COUNTS = ("begun", "regroup_step")
 
 
