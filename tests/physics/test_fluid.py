@@ -8,7 +8,8 @@ from flat import flat, in_dimension, random_rotation, symmetric
 from materials_by_hand import Particle, pressure
 
 import pmpm
-from pmpm.physics import stability
+from pmpm.kernels import targets
+from pmpm.physics import stability, tensors2, tensors3
 from pmpm.physics.materials import fluid, law_of
 
 KEYS = {"model": "fluid", "density": 1000.0, "bulk_modulus": 1e6, "viscosity": 2.0}
@@ -164,8 +165,18 @@ def test_a_very_viscous_fluid_is_stable_at_the_default_cfl():
 def test_the_wave_speed_bounds_what_a_particle_alone_swings_with(J):
     # dtau/dlnJ of tau = -J p, which under tension grows with J; by central differences.
     params, eps = (1000.0, 7.0, 0.0), 1e-6
-    ends = [fluid.kirchhoff_stress((J * math.exp(sign * eps),), params)[0] for sign in (1.0, -1.0)]
-    assert fluid.wave_speed_squared((J,), params, 1.0) >= (ends[0] - ends[1]) / (2.0 * eps) * (1.0 - 1e-6)
+    whole = targets.plain(la=tensors2, TENSION_CUTOFF=False)
+    stress, wave = whole.compile(fluid.kirchhoff_stress), whole.compile(fluid.wave_speed_squared)
+    ends = [stress((J * math.exp(sign * eps),), params)[0] for sign in (1.0, -1.0)]
+    assert wave((J,), params, 1.0) >= (ends[0] - ends[1]) / (2.0 * eps) * (1.0 - 1e-6)
+
+
+@pytest.mark.parametrize("la", [tensors2, tensors3])
+def test_the_volume_follows_the_determinant_of_the_step(la):
+    dim = int(la.DIM)
+    G = np.array([[0.1, 0.05, 0.0], [-0.2, 0.03, 0.1], [0.0, 0.2, -0.1]])[:dim, :dim]
+    (J,) = targets.plain(la=la).compile(fluid.advance)((1.1,), tuple(map(float, G.ravel())), 1e-3, (1000.0, 7.0, 0.0))
+    assert pytest.approx(1.1 * np.linalg.det(np.eye(dim) + G), rel=1e-14) == J
 
 
 def test_a_drop_that_flies_apart_for_long_stays_a_number():
