@@ -1,6 +1,7 @@
 """The stability matrix: stiff and extreme cases S1 to S20 over transfer, spline and precision; what survives and what does not.
 
-    python benchmarks/stability.py [--quick] [--rows S1,S4] [--schemes 'apic quadratic'] [--out FOLDER] [--jobs N] [--docs docs]
+    python benchmarks/stability.py [--quick] [--rows S1,S4] [--schemes 'apic quadratic'] [--out FOLDER] [--jobs N]
+        [--page-only] [--docs docs]
 
 Every run is one entry: S (survives), E (stopped or refused with a complete message) or F (anything else): stress/judge.py.
 stress/*.py hold the cases. Children run the entries of one case and scheme, one after another, and leave a JSON
@@ -8,7 +9,8 @@ file for each in the folder of --out; what is there is not run again, so that th
 parts. A child that crashes or runs over its time costs the entry it was at, which fails, and is started again behind it.
 
 --quick: two variants of each case under three schemes. --jobs: children at once; wall times are then marked as such.
---docs: write results/stability.md and pictures/stability.png there. Exits non-zero if an entry of APIC or MLS with quadratic
+--docs: write results/stability.md and pictures/stability.png there; with --page-only of what has a result, nothing being run,
+and the page says how many entries were not run. Exits non-zero if an entry of APIC or MLS with quadratic
 or cubic splines in float64 is not as expected.
 """
 
@@ -75,7 +77,7 @@ def run_as_child(out, keys):
         faulthandler.dump_traceback_later(entry.case.limit + STARTING, exit=True)
         result = run_entry(entry)
         faulthandler.cancel_dump_traceback_later()
-        write(out / f"{key}.json", {"entry": str(entry), "expected": entry.expected} | result)
+        write(result_of(entry, out), {"entry": str(entry), "expected": entry.expected} | result)
 
 
 def write(path, result):
@@ -90,7 +92,7 @@ def write(path, result):
 
 def run_group(group, out):
     """Run entries of one case and scheme in children, until each has its file; yields an entry as it is done."""
-    left = [entry for entry in group if not (out / f"{entry.key}.json").exists()]
+    left = [entry for entry in group if not result_of(entry, out).exists()]
     while left:
         environment = os.environ | {"OMP_NUM_THREADS": "1"} | left[0].case.environment
         command = [sys.executable, __file__, "--out", str(out), "--child", *(entry.key for entry in left)]
@@ -102,17 +104,17 @@ def run_group(group, out):
             status, said = done.returncode, done.stderr
         except subprocess.TimeoutExpired:
             status, said = "none", ""
-        missing = [entry for entry in left if not (out / f"{entry.key}.json").exists()]
+        missing = [entry for entry in left if not result_of(entry, out).exists()]
         (out / f"{group[0].key}.log").write_text(said, encoding="utf-8")
         if missing:  # the first of them is where the child ended
             late = "Timeout (" in said or status == "none"
             why = "a hang: over its time" if late else f"a crash: exit status {status}, {said.strip()[-300:]}"
             write(
-                out / f"{missing[0].key}.json",
+                result_of(missing[0], out),
                 {"entry": str(missing[0]), "expected": missing[0].expected}
                 | Found(wrong=[why]).as_dict() | {"wall": missing[0].case.limit if late else 0.0},
             )  # fmt: skip
-        yield from (entry for entry in left if (out / f"{entry.key}.json").exists())
+        yield from (entry for entry in left if result_of(entry, out).exists())
         left = missing[1:]
 
 
@@ -121,7 +123,7 @@ def run_all(chosen, out, jobs):
     groups = {}
     for entry in chosen:
         groups.setdefault((entry.case.row, entry.case.name, entry.scheme), []).append(entry)
-    todo = sum(not (out / f"{entry.key}.json").exists() for entry in chosen)
+    todo = sum(not result_of(entry, out).exists() for entry in chosen)
     progress = Progress(max(todo, 1))
 
     def run(group):
@@ -133,8 +135,13 @@ def run_all(chosen, out, jobs):
         list(pool.map(run, groups.values()))
 
 
+def result_of(entry, out):
+    """Where its result is, once it has one."""
+    return out / f"{entry.key}.json"
+
+
 def read(out, entry):
-    return json.loads((out / f"{entry.key}.json").read_text(encoding="utf-8"))
+    return json.loads(result_of(entry, out).read_text(encoding="utf-8"))
 
 
 def as_expected(result):
@@ -169,6 +176,7 @@ def main():
     options.add_argument("--out", type=Path, default=Path("runs/stability"), help="folder of the results")
     options.add_argument("--jobs", type=int, default=1, help="children at once")
     options.add_argument("--docs", type=Path, help="write the page and its picture here")
+    options.add_argument("--page-only", action="store_true", help="run nothing: judge and show what has a result")
     options.add_argument("--child", nargs="+", help=argparse.SUPPRESS)
     options.add_argument("--as-rank", nargs=2, help=argparse.SUPPRESS)
     given = options.parse_args()
@@ -182,8 +190,10 @@ def main():
     chosen = entries(
         given.rows.split(",") if given.rows else [], given.quick, given.schemes.split(",") if given.schemes else []
     )
-    run_all(chosen, given.out, given.jobs)
-    results = {entry: read(given.out, entry) for entry in chosen}
+    if not given.page_only:
+        run_all(chosen, given.out, given.jobs)
+    results = {entry: read(given.out, entry) for entry in chosen if result_of(entry, given.out).exists()}
+    not_run = len(entries([], False, [])) - len(results)
     missed = complaints(results)
     print("\n".join(missed) or "All is as expected with APIC and MLS, quadratic and cubic, in float64.")
     failed = sum(result["verdict"] == FAILED for result in results.values())
@@ -191,7 +201,7 @@ def main():
     if given.docs:
         import stability_page
 
-        stability_page.write(given.docs, results, given.jobs, missed)
+        stability_page.write(given.docs, results, not_run, given.jobs, missed)
     return 1 if missed else 0
 
 
