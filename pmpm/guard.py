@@ -39,14 +39,14 @@ def smallest_step(scene, needs, tables):
 def stop_crawling(simulation, driven):
     """Raise NumericalFailure on all ranks, naming what makes the step so short, and the particle that does."""
     control, given = simulation.control, simulation.scene.time.smallest_step is not None
-    bounds = control.bounds(driven)
+    bounds, (speed, wave, gradient, force) = control.bounds(driven), control.recent
     allowed = (control.cfl * bounds[0], *bounds[1:])
     kind = BOUNDS[int(np.argmin(allowed))]
     why = {
-        "waves": f"waves run at {control.wave:.4g} m/s through material as stiff, compressed or stretched as it is",
-        "speed": f"particles move at {control.speed:.4g} m/s",
-        "acceleration": f"gravity, loads and body force reach {driven + control.force:.4g} m/s2",
-        "strain": f"particles are strained at a rate of {control.gradient:.4g} 1/s",
+        "waves": f"waves run at {wave:.4g} m/s through material as stiff, compressed or stretched as it is",
+        "speed": f"particles move at {speed:.4g} m/s",
+        "acceleration": f"gravity, loads and body force reach {driven + force:.4g} m/s2",
+        "strain": f"particles are strained at a rate of {gradient:.4g} 1/s",
     }[kind]
     floor = "time.smallest_step" if given else f"time.smallest_step (not given: {CRAWL:g} of the first step)"
     cause = f"the stable step, {min(allowed):.4g} s, is below {floor} = {simulation.smallest_step:.4g} s: {why}"

@@ -50,6 +50,11 @@ class Particles:
         geometry = self.simulation.geometry
         cells = x / geometry.cell_size
         node = np.floor(cells + geometry.stencil.round)
+        for axis in range(
+            geometry.dim
+        ):  # what stands on a wall, or has passed it a little, belongs to the last node inside
+            if not geometry.periodic[axis]:
+                node[:, axis] = np.clip(node[:, axis], 0, geometry.homes(axis) - 1)
         place = self.simulation.needs.places.from_cells(cells - node)
         for axis in range(geometry.dim):
             if geometry.periodic[axis]:
@@ -57,13 +62,13 @@ class Particles:
         return population.at(node, place)
 
     def check_inside(self, x):
-        """Raise ValueError, on all ranks, if any rank's positions (n, dim) in m are not numbers or beyond the walls."""
-        comm, geometry = self.simulation.comm, self.simulation.geometry
-        nearest = np.floor(x / geometry.cell_size + geometry.stencil.round)
-        inside = np.isfinite(x)
+        """Raise ValueError, on all ranks, if any rank's positions (n, dim) in m are not numbers or further beyond a wall than a
+        run lets them come: half a cell, nothing at a free one."""
+        comm, geometry, limits = self.simulation.comm, self.simulation.geometry, self.simulation.limits
+        inside, place = np.isfinite(x), 64.0 * x / geometry.cell_size
         for axis in range(geometry.dim):
             if not geometry.periodic[axis]:
-                inside[:, axis] &= (nearest[:, axis] >= 0) & (nearest[:, axis] < geometry.homes(axis))
+                inside[:, axis] &= (place[:, axis] >= limits[axis, 0]) & (place[:, axis] <= limits[axis, 1])
         outside = int(comm.sum(np.array([np.count_nonzero(~inside.all(axis=1))]))[0])
         if outside:
             raise ValueError(f"particles.x: {outside} of the new positions are not inside the domain")

@@ -48,10 +48,8 @@ class Disorder(Numbers):
 class Control(Numbers):
     """Of timestep.StepControl."""
 
-    speed: Size
-    wave: Size
-    gradient: Size
-    force: Size
+    largest: tuple[tuple[Size, Size, Size, Size], tuple[Size, Size, Size, Size]]
+    moving: Size
     travel: Size
     drift: Size
     drift_travel: Size

@@ -6,7 +6,10 @@ Four bounds, of which the shortest counts:
   sqrt(MOVE dx / max|a|)  what gravity, loads and body force let a particle at rest move
   STRETCH / max|grad v|   what a particle is strained: a lone one may stand still and expand
 Maxima over all ranks come from a reduction that was started LAG steps ago, so that no step waits for it; what a particle may
-move meanwhile is covered by the padding.
+move meanwhile is covered by the padding. The largest of the last RECENT to 2 RECENT steps count, and unless they have fallen
+by more than STEADY those before: a step that followed each swing of the stiffest particles, LAG steps late, would pump energy
+into it. (A lone particle, stretched by 30 %, swings in 8 steps at cfl 0.4. As a map of one degree of freedom: with a step of
+its own for each step its energy grows 226-fold, with the largest of 32 or more by 2 %, with both not at all.)
 """
 
 import math
@@ -19,6 +22,8 @@ import numpy as np
 LAG = 2  # steps between the start of a reduction and its use
 MOVE = 0.2  # cells a particle may move in a step: LAG + 1 such steps and a margin fit into one cell of padding
 STRETCH = 0.1  # strain of a particle in a step: until it is known, LAG steps later, waves have changed little
+RECENT = 32  # steps: four swings of the highest frequency at cfl 0.4, one at cfl 0.1
+STEADY = 0.05  # of a bound: no change
 EVERY = 8  # steps between two counts of disorder
 # ns of one more run, and of a regroup per particle: estimates for one core of an AVX-512 Xeon.
 RUN_COST, REGROUP_COST = 8, 75
@@ -27,8 +32,9 @@ MARGIN = 1.5  # growth of the largest speed that is allowed for between two redu
 # and what a rank has been asked for.
 SPEED, WAVE, DRIFT, GRADIENT, FORCE, FAILED, REQUEST = range(7)
 BOUNDS = ("waves", "speed", "acceleration", "strain")
+LEARNT = (SPEED, WAVE, GRADIENT, FORCE)  # of what is reduced, what bounds the step
 # Of StepControl, beside its counts.
-NUMBERS = ("speed", "wave", "gradient", "force", "travel", "drift", "drift_travel", "regroup_travel")
+NUMBERS = ("moving", "travel", "drift", "drift_travel", "regroup_travel")
 COUNTS = ("begun", "regroup_step")
 
 
@@ -106,21 +112,38 @@ class StepControl:
         self.regrouped(0)
         self.begun = self.asked = 0
         self.shortest = self.stable = math.inf  # s, of the bounds for the step last chosen, and what cfl makes of them
-        self.speed = self.wave = self.gradient = self.force = 0.0
+        self.largest = [[0.0] * len(LEARNT)] * 2  # until the last multiple of RECENT steps, and of those since then
+        self.moving = 0.0  # m/s, the largest speed known last
 
     def begin(self, step, maxima):
         """Take the maxima over the particles of this rank, in the order of what is reduced, of a state that no step has made,
         before the step after `step`. Collective."""
         self.begun = step
-        self.learn(self.comm.max(maxima))
+        found = [math.sqrt(value) for value in self.comm.max(maxima)[list(LEARNT)]]
+        self.largest, self.moving = [found, found], found[0]
 
-    def learn(self, values):
-        self.speed, self.wave = math.sqrt(values[SPEED]), math.sqrt(values[WAVE])
-        self.gradient, self.force = math.sqrt(values[GRADIENT]), math.sqrt(values[FORCE])
+    def learn(self, step, values):
+        """Take the maxima that step number `step` found."""
+        found = [math.sqrt(values[kind]) for kind in LEARNT]
+        before, since = self.largest
+        if step % RECENT == 0:
+            kept = [
+                new if new < (1.0 - STEADY) * old else max(new, old) for new, old in zip(since, before, strict=True)
+            ]
+            self.largest = [kept, found]
+        else:
+            self.largest = [before, list(map(max, since, found))]
+        self.moving = found[0]
+
+    @property
+    def recent(self):
+        """The largest speed (m/s), wave speed (m/s), |grad v| (1/s) and body force (m/s2) that count."""
+        return tuple(map(max, *self.largest))
 
     def bounds(self, driven):
         """The longest step in s by each of BOUNDS; `driven`: acceleration by gravity and loads, m/s2."""
-        found = stable_bounds(self.cell_size, self.dim, self.wave, self.speed, driven + self.force, self.gradient)
+        speed, wave, gradient, force = self.recent
+        found = stable_bounds(self.cell_size, self.dim, wave, speed, driven + force, gradient)
         self.shortest = min(found)
         return found
 
@@ -144,7 +167,7 @@ class StepControl:
 
     def move_bound(self, dt):
         """Cells a particle may move in a step of dt."""
-        return MARGIN * self.speed * dt / self.cell_size
+        return MARGIN * self.moving * dt / self.cell_size
 
     def regroup_due(self, step, dt):
         """Whether a particle might leave its layer's padded planes, or its place overflow, in step number `step`; or whether
@@ -172,7 +195,7 @@ class StepControl:
         arrived.arrived(self.comm)
         self.asked = max(self.asked, int(arrived.values[REQUEST]))
         if arrived.step > self.begun and np.isfinite(arrived.values[:FAILED]).all():
-            self.learn(arrived.values)
+            self.learn(arrived.step, arrived.values)
         if arrived.step > self.regroup_step:
             self.drift, self.drift_travel = arrived.values[DRIFT], arrived.travel
         return failed_step(arrived)
@@ -190,12 +213,13 @@ class StepControl:
             name: getattr(self, name) for name in COUNTS
         }
         pending = [[r.step, r.travel, *map(float, r.arrived(self.comm)[:FAILED])] for r in self.pending]
-        return numbers | {"pending": pending, "disorder": self.disorder.state()}
+        return numbers | {"largest": self.largest, "pending": pending, "disorder": self.disorder.state()}
 
     def resume(self, state):
         """Go on from what `state` gave."""
         for name in (*NUMBERS, *COUNTS):
             setattr(self, name, state[name])
+        self.largest = [list(found) for found in state["largest"]]
         self.pending = deque(
             Pending(step, travel, values=np.array([*found, -math.inf, 0.0]))
             for step, travel, *found in state["pending"]

@@ -159,7 +159,8 @@ def follow(simulation, until=None, steps=None, looks=LOOKS, least=EVERY, each=No
                     each(simulation)
         simulation.check()
         watch.look()
-        watch.compare_energy()
+        if found.energy is None:  # the energy of motion of the last step has no other to be averaged with
+            watch.compare_energy()
     except NumericalFailure as failure:
         found.message = str(failure)
     return found

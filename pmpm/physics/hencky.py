@@ -12,6 +12,7 @@ SWITCH = 0.5  # the power series of `words` have terms for arguments up to here
 LARGEST_H = 4.0  # rows of b - I up to SWITCH in X sum up to 2 sqrt(3) at most; X means nothing where b is huge
 SMALLEST = -0.9999999  # b - 1 below it only keeps the logarithm finite until `valid` stops the run
 LARGEST = 10.0  # no solid is strained elastically by e^10
+NEVER = 1e30  # a strain where a surface ends that has no end: finite in float32, too
 
 
 def twice_expm1(e):

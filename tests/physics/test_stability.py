@@ -19,6 +19,13 @@ def test_noise_of_a_lone_particle_does_not_grow_in_ten_thousand_steps(scheme, la
     assert found.numbers["largest |J - 1|"] < 2e-11
 
 
+@pytest.mark.parametrize("state", ["stretched", "compressed"])
+def test_lone_particles_that_swing_by_a_third_of_their_volume_gain_no_energy(state):
+    # Steps that follow each swing, two steps late, pump: the energy of these grew fivefold in a hundred steps.
+    found = lonely.dust(Scheme("mls", "quadratic"), f"solid, {state}")
+    assert (found.verdict, found.steps) == (SURVIVES, 10_000)
+
+
 def test_two_particles_fly_straight_through_cells_to_round_off():
     found = lonely.flying(APIC, "solid, two")
     assert found.verdict == SURVIVES

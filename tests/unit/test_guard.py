@@ -14,7 +14,7 @@ from pmpm.physics.words import cos, sin
 from pmpm.run import run_scene
 from pmpm.scene.errors import SceneError
 from pmpm.scene.schema import ENERGY_GAIN
-from pmpm.timestep import LAG
+from pmpm.timestep import LAG, RECENT
 
 RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e6, "poisson_ratio": 0.3}
 SNOW = {"model": "snow", "density": 400.0, "youngs_modulus": 1.4e5, "poisson_ratio": 0.2}
@@ -62,7 +62,7 @@ def test_a_body_force_that_sets_in_bounds_the_step_two_steps_later(loops, monkey
         simulation.step()
     assert simulation.control.bounds(0.0)[2] == np.inf
     simulation.run(steps=4)
-    assert simulation.control.force == pytest.approx(1e5, rel=1e-9)
+    assert simulation.control.recent[3] == pytest.approx(1e5, rel=1e-9)
     assert simulation.control.bounds(0.0)[2] == pytest.approx(np.sqrt(0.2 / 1e5), rel=1e-9)
 
 
@@ -90,11 +90,26 @@ def test_no_particle_is_strained_by_more_than_a_tenth_in_a_step(loops, monkeypat
     simulation.particles.C = C
     simulation.step()
     assert simulation.dt == pytest.approx(0.1 / 500.0, rel=1e-12)
-    after = []
-    for _ in range(5):
+
+
+@pytest.mark.parametrize("loops", ["lanes", "scalar"])
+def test_the_largest_strain_rate_of_the_last_steps_bounds_the_step(loops, monkeypatch):
+    monkeypatch.setenv("PMPM_LOOPS", loops)
+    simulation = pmpm.Simulation(scene(method={"transfer": "mls"}))
+    C = np.zeros((len(simulation.particles.id), 2, 2))
+    C[7] = [[300.0, 0.0], [0.0, -400.0]]
+    simulation.particles.C = C
+    rates = [500.0]  # after step 0, 1, ...
+    for step in range(1, 3 * RECENT):
         simulation.step()
-        after.append(np.sqrt(np.square(simulation.particles.C).sum(axis=(1, 2)).max()))
-    assert simulation.control.gradient == pytest.approx(after[-1 - LAG], rel=1e-12)
+        rates.append(np.sqrt(np.square(simulation.particles.C).sum(axis=(1, 2)).max()))
+        told = max(step - LAG, 0)  # all know of this one
+        blocks = [max(rates[first : min(first + RECENT, told + 1)]) for first in range(0, told + 1, RECENT)]
+        kept = [500.0]  # until there are others, the state at the start counts twice
+        for largest in blocks[:-1]:
+            kept.append(largest if largest < 0.95 * kept[-1] else max(largest, kept[-1]))
+        assert simulation.control.recent[2] == pytest.approx(max(kept[-1], blocks[-1]), rel=1e-12)
+    assert simulation.control.recent[2] < 100.0
 
 
 @pytest.mark.parametrize("transfer", ["apic", "mls"])

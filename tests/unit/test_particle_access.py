@@ -52,10 +52,69 @@ def test_positions_outside_the_domain_are_refused(simulation):
         simulation.particles.x = simulation.particles.x - 10.0
 
 
+@pytest.mark.parametrize("kind", ["slip", "free"])
+@pytest.mark.parametrize("spline", ["linear", "quadratic", "cubic"])
+def test_walls_belong_to_the_domain_and_a_free_one_ends_it(spline, kind):
+    simulation = pmpm.Simulation(
+        pmpm.Scene(
+            domain={
+                "size": [8.0, 8.0],
+                "cell_size": 1.0,
+                "walls": dict.fromkeys(("x_min", "x_max", "y_min", "y_max"), kind),
+            },
+            method={"shape_function": spline},
+            time={"end": 1.0},
+            materials={"rubber": {"model": "neo_hookean", "density": 1e3, "youngs_modulus": 1e6, "poisson_ratio": 0.3}},
+            bodies=[{"material": "rubber", "shape": {"type": "box", "min": [2.0, 2.0], "max": [4.0, 4.0]}}],
+        )
+    )
+    corners = np.array([[0.0, 0.0], [8.0, 0.0], [0.0, 8.0], [8.0, 8.0]])
+    for corner in corners:
+        x = simulation.particles.x
+        reach = x.max(axis=0) - x.min(axis=0)
+        simulation.particles.x = np.where(corner == 0.0, x - x.min(axis=0), x - x.max(axis=0) + corner)
+        assert np.array_equal(simulation.particles.x.min(axis=0), np.where(corner == 0.0, 0.0, corner - reach))
+        simulation.particles.v = np.zeros_like(x)
+        simulation.step()
+        simulation.check()
+    x = simulation.particles.x - simulation.particles.x.min(axis=0)
+    for beyond, refused in ((0.49, kind == "free"), (0.51, True)):
+        if not refused:
+            simulation.particles.x = x - [beyond, 0.0]
+            continue
+        with pytest.raises(ValueError, match="not inside the domain"):
+            simulation.particles.x = x - [beyond, 0.0]
+
+
 @pytest.mark.parametrize("name", ["mass", "volume0", "id", "J", "density", "stress", "no_such_field"])
 def test_what_cannot_be_assigned_says_so(simulation, name):
     with pytest.raises(AttributeError, match=f"{name} cannot be assigned"):
         setattr(simulation.particles, name, 1.0)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("model", ["drucker_prager", "mohr_coulomb"])
+def test_a_cohesive_law_without_friction_whose_surface_has_no_tip_runs(model, precision):
+    law = {
+        "model": model,
+        "density": 1e3,
+        "youngs_modulus": 1e6,
+        "poisson_ratio": 0.3,
+        "friction_angle": 0.0,
+        "cohesion": 1e4,
+    }
+    shape = {"type": "box", "min": [2.0, 2.0], "max": [4.0, 4.0]}
+    scene = pmpm.Scene(
+        domain={"size": [8.0, 8.0], "cell_size": 1.0, "gravity": [0.0, -10.0]},
+        method={"precision": precision},
+        time={"end": 1.0},
+        materials={"clay": law},
+        bodies=[{"material": "clay", "shape": shape, "velocity": [0.0, -20.0]}],
+    )
+    simulation = pmpm.Simulation(scene)
+    simulation.run(steps=100)
+    assert np.isfinite(simulation.particles.stress).all()
+    assert simulation.measure()["dissipated"] > 0.0
 
 
 def test_a_modulus_beyond_the_precision_of_the_scene_is_refused(simulation):

@@ -109,7 +109,7 @@ def strength(cohesion, friction_angle, fit, dim):
 def parameters(keys, dim):
     """(mu in Pa, lam in Pa, slope of the cone in strains), and behind them what the options need.
 
-    With cohesion (radius of the cone at tr E = 0, tr E of the tip: infinite without friction), with dilatancy (d a, the
+    With cohesion (radius of the cone at tr E = 0, tr E of the tip: hencky.NEVER without friction), with dilatancy (d a, the
     share of y that flows).
     """
     mu, lam = lame(keys["youngs_modulus"], keys["poisson_ratio"])
@@ -118,7 +118,7 @@ def parameters(keys, dim):
     params = mu, lam, slope
     if keys.get("cohesion"):
         radius = strength(keys["cohesion"], phi, fit, dim) / (2.0 * mu)
-        params += radius, (radius / slope if slope > 0.0 else math.inf)
+        params += radius, (radius / slope if slope > 0.0 else hencky.NEVER)
     if psi > 0.0:
         dilation = dim * friction_slope(psi, fit, dim)
         params += dilation, 1.0 / (1.0 + slope * dilation)

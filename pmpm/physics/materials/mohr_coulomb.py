@@ -108,7 +108,7 @@ def state_fields(keys):
 def parameters(keys, dim):
     """(mu in Pa, lam in Pa, lam / mu, sin psi), then the strength.
 
-    Without softening (sin phi, c cos(phi) / mu, strain along each axis at the apex, which is infinite without friction); with
+    Without softening (sin phi, c cos(phi) / mu, strain along each axis at the apex, hencky.NEVER without friction); with
     softening (c / mu and its fall, phi in radians and its fall, 1 / softening_strain).
     """
     mu, lam = lame(keys["youngs_modulus"], keys["poisson_ratio"])
@@ -118,7 +118,7 @@ def parameters(keys, dim):
         residual_c, residual_phi = residual(keys)
         fall = phi - math.radians(residual_phi)
         return *elastic, c / mu, (c - residual_c) / mu, phi, fall, 1.0 / keys["softening_strain"]
-    apex = c / math.tan(phi) / (3.0 * lam + 2.0 * mu) if phi > 0.0 else math.inf
+    apex = c / math.tan(phi) / (3.0 * lam + 2.0 * mu) if phi > 0.0 else hencky.NEVER
     return *elastic, math.sin(phi), c * math.cos(phi) / mu, apex
 
 
