@@ -39,7 +39,7 @@ class Beginning:
 
 
 def count_per_layer(simulation):
-    """(layers,) particles per layer over all ranks; each rank counts an equal share of the layers. Collective.
+    """(layers, laws) particles over all ranks; each rank counts an equal share of the layers. Collective.
 
     Raises SceneError where there are more than fit into memory, and where a body gets none.
     """
@@ -48,7 +48,11 @@ def count_per_layer(simulation):
     first, last = (layers * r // simulation.comm.size for r in (simulation.comm.rank, simulation.comm.rank + 1))
     counts = simulation.comm.sum(seeding.count_per_layer(simulation.scene, simulation.geometry, first, last))
     refuse_empty(counts.sum(axis=1))
-    return counts.sum(axis=0)
+    of_body = [simulation.scene.materials[body.material] for body in simulation.scene.bodies]
+    laws = [simulation.needs.laws.index(law_needs(m.model, m.parameters)) for m in of_body]
+    found = np.zeros((layers, len(simulation.needs.laws)), np.int64)
+    np.add.at(found.T, laws, counts)
+    return found
 
 
 def refuse_empty(counts):

@@ -17,7 +17,7 @@ from pmpm.scene.messages import path_text, value_text
 from pmpm.scene.schema import Scene
 
 # What may change at a restart: keys that change no particle and no node, and of those the ones that act on what moves.
-WATCHING = r"title|time\.end|output\..+|guard\..+|exact\..+"
+WATCHING = r"title|time\.end|output\..+|guard\..+|parallel\.balance|exact\..+"
 DRIVING = (
     r"time\.(cfl|step|ramp)|domain\.gravity.*|domain\.walls\..+|method\.(damping|flip_blend|precision)"
     r"|materials\.[^.]+\.(?!model$|density$).+|motions\[\d+\]\.velocity.*"
@@ -208,7 +208,7 @@ def changes(origin, scene):
         was, now = (value_text(held[key]) if key in held else "absent" for held in (before, after))
         raise SceneError(
             f"{origin.path}: {key} = {now} cannot change at a restart (it is {was} in the checkpoint): particles and grid are "
-            "what they are. These can: title, time.*, output.*, guard.*, exact.*, domain.gravity, domain.walls.*, "
+            "what they are. These can: title, time.*, output.*, guard.*, parallel.*, exact.*, domain.gravity, domain.walls.*, "
             "method.damping, method.flip_blend, method.precision, materials.*.* but model and density, motions[n].velocity"
         )
     return differing

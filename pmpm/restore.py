@@ -203,11 +203,11 @@ class Continuation:
             raise OutputError(f"{file.path} is damaged: {RECORD}: {error.errors()[0]['msg']}") from error
 
     def count_per_layer(self, simulation):
-        """(layers,) particles per layer over all ranks; reads where the particles of each law lie. Collective. SceneError for
+        """(layers, laws) particles over all ranks; reads where the particles of each law lie. Collective. SceneError for
         too many."""
         estimate.refuse_memory(simulation.scene, simulation.needs, simulation.geometry, simulation.comm)
         on_every_rank(simulation.comm, lambda: self.read_tables(simulation))
-        return self.counts.sum(axis=1)
+        return self.counts
 
     def read_tables(self, simulation):
         """Read the segments of each law, and count its particles in each layer."""

@@ -22,9 +22,10 @@ from pmpm.kernels import build, targets
 from pmpm.kernels.loops import EMPTY_BOX, FARTHEST, FORCES, SETTLED, WORKS
 from pmpm.kernels.places import TRAVEL
 from pmpm.parallel import comm as communication
+from pmpm.parallel.balance import Balance, best_edges, layer_work
 from pmpm.parallel.halo import Halo
 from pmpm.parallel.regroup import migrate
-from pmpm.parallel.slabs import Slabs, cut_evenly, room
+from pmpm.parallel.slabs import Slabs, room
 from pmpm.particle_access import Particles
 from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
@@ -84,7 +85,9 @@ class Simulation:
         self.first_energy = 0.0
         self.energy_watch = guard.EnergyWatch(self) if guard.watches_energy(scene) else None
         source = source or populate.Beginning()
-        self.cut(cut_evenly(source.count_per_layer(self), self.comm.size, self.needs.stencil.window))
+        works, window = tuple(law.module.WORK for law in self.needs.laws), self.needs.stencil.window
+        self.balance = Balance(works, window, scene.parallel.balance)
+        self.cut(best_edges(source.count_per_layer(self) @ np.array(works), self.comm.size, window))
         self.in_turn(self.warm_up_regroup)
         source.fill(self)
         self.check_fixed_step(SceneError)
@@ -496,6 +499,8 @@ class Simulation:
         began = clock.perf_counter()
         if edges is not None and len(edges) != self.comm.size + 1:
             raise ValueError(f"edges {edges}: {self.comm.size} ranks need {self.comm.size + 1} of them")
+        if edges is None and self.comm.size > 1 and loose is None:
+            edges = self.look_at_balance()
         if edges is not None:
             self.cut(tuple(map(int, edges)))
         loose = loose or [Loose.of(population, self.geometry, self.kernels) for population in self.populations]
@@ -505,6 +510,14 @@ class Simulation:
         self.regroups += 1
         self.sent += sent
         self.timers.add("regroup", began)
+
+    def look_at_balance(self):
+        """New edges if they are worth it, else None. Collective."""
+        work = np.zeros(self.geometry.layers, np.int64)
+        work[self.first_layer : self.last_layer] = layer_work(
+            self.populations, self.balance.works, self.patch.layer_boxes
+        )
+        return self.balance.look(self.comm.sum(work), self.slabs.edges, self.step_count - self.control.regroup_step)
 
     # ---- running ----
 
@@ -643,6 +656,7 @@ class Simulation:
             "edges": list(self.slabs.edges),
             "sent": [list(map(int, sent)) for sent in self.comm.gather(self.sent)],
             "regroups": self.regroups,
+            "balance": self.balance.report(),
             "kernels_compiled": compiled,
             "kernels_loaded": loaded,
             "seconds_per_phase": spread(self.comm.gather(self.timers.seconds)),

@@ -88,19 +88,3 @@ class Slabs:
 def room(layers, window):
     """How many ranks a domain of this many layers can feed."""
     return max(1, layers // window)
-
-
-def cut_evenly(counts, ranks, window):
-    """Edges of slabs of about equal particle count.
-
-    counts: (layers,) particles per layer. Returns `ranks + 1` edges; each of the first room(...) ranks gets at least
-    `window` layers, later ranks none.
-    """
-    layers = len(counts)
-    active = min(ranks, room(layers, window))
-    below = np.concatenate([[0], np.cumsum(counts)])
-    edges = [0]
-    for r in range(1, active):
-        edge = int(np.searchsorted(below, below[-1] * r / active))
-        edges.append(min(max(edge, edges[-1] + window), layers - window * (active - r)))
-    return tuple(edges + [layers] * (ranks + 1 - active))

@@ -17,12 +17,13 @@ MOST_NODES = 75_000_000  # of a plane: 7 planes of 4 reals are counted in 32 bit
 
 
 def scene_needs(scene):
-    """What a scene asks of the kernels. Slabs are cut across the axis with the most cells."""
+    """What a scene asks of the kernels."""
     used = [scene.materials[body.material] for body in scene.bodies]
     laws = tuple(dict.fromkeys(law_needs(m.model, m.parameters) for m in used))
     walls = tuple(sorted({wall.type for wall in scene.domain.walls.values()} - {"free"}))
     method = scene.method
-    slab_axis = int(np.argmax(scene.cells))
+    asked = scene.parallel.slab_axis
+    slab_axis = int(np.argmax(scene.cells)) if asked is None else "xyz".index(asked)
     periodic = tuple("xyz"[axis] in scene.domain.periodic for axis in range(scene.dim))
     force = scene.body_force
     return Needs(

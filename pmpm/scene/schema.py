@@ -303,6 +303,17 @@ class Guard(Part):
     )
 
 
+class Parallel(Part):
+    """How the domain is shared out. Results have the same bits for any ranks and cuts, and others for another slab axis."""
+
+    slab_axis: Annotated[str | None, choice(AXES)] = Field(
+        default=None, description="axis that is cut into slabs; the one with most cells if not given"
+    )
+    balance: Annotated[bool, flag()] = Field(
+        default=True, description="let the cuts between slabs follow the work while a run goes on"
+    )
+
+
 def material_table(value: Any) -> Any:
     if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
         raise Problems(Problem((), "must be a table with one table for each material, like [materials.sand]", value))
@@ -343,6 +354,7 @@ class Scene(Part):
     )
     output: Output = Field(default=Output(), description="table of what is written")
     guard: Guard = Field(default=Guard(), description="table of what a run is watched for")
+    parallel: Parallel = Field(default=Parallel(), description="table of how the domain is shared out among ranks")
 
     @classmethod
     def from_text(cls, text: str, source: str = "scene", overrides: Mapping[str, Any] | None = None) -> "Scene":
@@ -403,6 +415,10 @@ class Scene(Part):
         """Check what depends on more than one table and fill in what depends on dimension and duration."""
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_body(body, index)]
         problems += self.wrong_fields()
+        axis, axes = self.parallel.slab_axis, AXES[: self.dim]
+        if axis is not None and axis not in axes:
+            text = f"must be one of {', '.join(axes)} in a {self.dim}-D scene"
+            problems.append(Problem(("parallel", "slab_axis"), text, axis))
         forced = [(("loads", n), load.misfits(self.dim)) for n, load in enumerate(self.loads)]
         forced += [(("motions", n), motion.misfits(self.dim)) for n, motion in enumerate(self.motions)]
         problems += [Problem((*path, *p.path), p.text, p.value) for path, misfits in forced for p in misfits]

@@ -94,6 +94,7 @@ def scenes(draw, row=None, telling=0):
     if draw(st.booleans()):
         table["guard"] = {"keep_copy": draw(st.booleans()), "interval": draw(st.sampled_from((1, 2, 100)))}
         table["guard"]["energy_gain"] = draw(st.sampled_from((0.0, 0.5, 1e300)))
+        table["parallel"] = {"balance": draw(st.booleans()), "slab_axis": draw(maybe(st.just("xyz"[long])))}
     return pruned(table)
 
 

@@ -1,5 +1,7 @@
 """The constitutive laws, one file each. A law is a module with
 
+- SOURCE, WORK: where it is from, and what a step of one of its particles costs, in hundredths of a neo-Hookean one's (measured:
+  docs/results/laws.md, half of the particles yielding);
 - KEYS, `conflicts(keys)`, `parameters(keys, dim)`: what a scene sets, and the numbers the formulas use;
 - STATE, `state_fields(keys)`, `choices(keys)`: what a particle carries, and compile-time constants of the formulas;
 - `state_at(F, params)`: the state of a fresh particle that is deformed elastically by F, the identity as a rule;

@@ -14,6 +14,7 @@ from pmpm.physics.materials.fluid import STIFFNESS, bulk_modulus_of, stiffness_c
 from pmpm.physics.materials.keys import DENSITY, Key, StateField
 from pmpm.physics.words import EPS, TINY, any_of, exp, expm1, log, log1p, where
 
+WORK = 135
 SOURCE = "Yue et al. (2015), ACM Trans. Graph. 34, 160"
 KEYS = (
     DENSITY,

@@ -24,6 +24,7 @@ from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import DENSITY, Key, StateField
 from pmpm.physics.words import EPS, TINY, any_of, exp, log, sqrt, where
 
+WORK = 192
 SOURCE = "Borja and Tamagnini (1998), Comput. Methods Appl. Mech. Engrg. 155, 73"
 KEYS = (
     DENSITY,

@@ -29,6 +29,7 @@ from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import DILATANCY_ANGLE, ELASTIC_KEYS, FRICTION_ANGLE, Key, StateField, lame
 from pmpm.physics.words import NAN, TINY, expm1, where
 
+WORK = 113
 SOURCE = "Klar et al. (2016), ACM Trans. Graph. 35, 103; Tampubolon et al. (2017), 36, 105; de Souza Neto et al. (2008)"
 KEYS = (
     *ELASTIC_KEYS,

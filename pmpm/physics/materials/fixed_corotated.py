@@ -13,6 +13,7 @@ Source: Stomakhin, Howes, Schroeder, Teran, Energetically consistent invertible 
 from pmpm.physics import tensors2 as la
 from pmpm.physics.materials import neo_hookean
 
+WORK = 107
 SOURCE = "Stomakhin et al. (2012), Energetically consistent invertible elasticity, SCA"
 KEYS, STATE = neo_hookean.KEYS, neo_hookean.STATE
 LARGEST = 1e12  # of |F|^2: no solid is stretched a millionfold

@@ -10,6 +10,7 @@ from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import DENSITY, Key, StateField
 from pmpm.physics.words import exp, log
 
+WORK = 95
 SOURCE = "Monaghan (1994), J. Comput. Phys. 110, 399"
 STIFFNESS = (
     Key(

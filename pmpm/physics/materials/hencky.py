@@ -11,6 +11,7 @@ from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import ELASTIC_KEYS, StateField, lame_parameters, no_choices, no_conflicts
 from pmpm.physics.words import expm1
 
+WORK = 106
 SOURCE = "Bonet and Wood (2008), section 6.6"
 KEYS = ELASTIC_KEYS
 STATE = (StateField("hencky_strain", "symmetric", "-", "elastic logarithmic strain, 1/2 ln b"),)

@@ -25,6 +25,7 @@ from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import DILATANCY_ANGLE, ELASTIC_KEYS, FRICTION_ANGLE, Key, StateField, lame
 from pmpm.physics.words import TINY, any_of, expm1, sqrt, where
 
+WORK = 134
 SOURCE = "de Souza Neto, Peric, Owen (2008), section 8.2"
 KEYS = (
     *ELASTIC_KEYS,

@@ -17,6 +17,7 @@ from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import ELASTIC_KEYS, Key, StateField, lame, no_choices
 from pmpm.physics.words import TINY, exp, sqrt, where
 
+WORK = 115
 SOURCE = "Jop, Forterre and Pouliquen (2006), Nature 441, 727; Dunatunga and Kamrin (2015), J. Fluid Mech. 779, 483"
 KEYS = (
     *ELASTIC_KEYS,

@@ -9,6 +9,7 @@ from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import ELASTIC_KEYS, StateField, lame_parameters, no_choices, no_conflicts
 from pmpm.physics.words import log
 
+WORK = 100
 SOURCE = "Bonet and Wood (2008), section 6.4.3"
 KEYS = ELASTIC_KEYS
 STATE = (StateField("F", "tensor", "-", "deformation gradient", 1.0),)

@@ -13,6 +13,7 @@ from pmpm.physics.materials import neo_hookean, own_law
 from pmpm.physics.materials.keys import DENSITY, Key, no_conflicts
 from pmpm.physics.words import NAN
 
+WORK = 102
 SOURCE = "a function or a pmpm.Law given to pmpm.Scene in Python"
 PREFIX = "python:"  # of the name of such a model, where built-in laws have their own
 SOUND_SPEED = Key(

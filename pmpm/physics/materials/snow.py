@@ -23,6 +23,7 @@ from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import ELASTIC_KEYS, Key, StateField, lame
 from pmpm.physics.words import EXP_OF_TWICE_LESS_EXP, EXPM1_OF_TWICE, any_of, exp, expm1, where
 
+WORK = 135
 SOURCE = "Stomakhin et al. (2013), ACM Trans. Graph. 32, 102"
 KEYS = (
     *ELASTIC_KEYS,

@@ -13,6 +13,7 @@ from pmpm.physics import tensors2 as la
 from pmpm.physics.materials.keys import ELASTIC_KEYS, Key, StateField, lame, no_conflicts
 from pmpm.physics.words import TINY, exp
 
+WORK = 110
 SOURCE = "Simo and Hughes (1998), box 3.1; de Souza Neto, Peric and Owen (2008), section 14.4"
 KEYS = (
     *ELASTIC_KEYS,

@@ -1,0 +1,149 @@
+"""Balance: cuts between slabs follow the work that is counted; a clock never decides.
+
+Work is counted in hundredths of what one particle-step of a neo-Hookean solid costs: a particle costs the WORK of its law, a
+node that a layer's particles reach NODE_WORK. Where a slab must be at least a stencil wide, no cuts may be even; then those
+are taken whose busiest rank has the least to do.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+NODE_WORK = 50  # measured: 0.45 (3-D, float32), 0.52 (3-D, float64), 0.71 (2-D) particle-steps
+MOVE_WORK = 1000  # of a particle that changes ranks: packing, sending, and its share of new patches; 300 ns
+WORTH = 0.02  # of the busiest rank's work that new cuts must save at least
+
+
+def layer_work(populations, works, boxes):
+    """(layers,) int64 work of this rank's layers: populations by law with their works, `boxes` (layers, 4) of nodes."""
+    total = NODE_WORK * np.prod(np.clip(boxes[:, 1::2] - boxes[:, ::2], 0, None), axis=1)
+    for population, work in zip(populations, works, strict=True):
+        below = np.concatenate([[0], np.cumsum(population.segments[:, 1])])[population.layer_start]
+        total += work * np.diff(below)
+    return total
+
+
+def best_edges(work, ranks, window):
+    """(ranks + 1,) edges of slabs of at least `window` layers whose largest work is as small as it can be, to a thousandth.
+
+    work: (layers,) integers. Not more than `ranks` slabs; fewer where that is better, or where there is no room for more.
+    """
+    below = np.concatenate([[0], np.cumsum(work)])
+    layers = len(work)
+    most = max(1, min(ranks, layers // window))
+    low = smallest(least_possible(work, most, window), lambda bound: greedy_edges(below, bound, most)[-1] == layers)
+    edges = greedy_edges(below, low, most)
+    if np.diff(edges).min() < window:  # the width binds somewhere, and greed fails
+        high = smallest(low, lambda bound: beginnings(below, bound, most, window)[-1][layers] >= 0)
+        edges = [layers]
+        for begins in reversed(beginnings(below, high, most, window)):
+            edges.append(int(begins[edges[-1]]))
+        edges.reverse()
+    return (*edges, *[layers] * (ranks + 1 - len(edges)))
+
+
+def smallest(low, fits):
+    """The smallest integer from `low` on that fits, to a thousandth; what is larger than one that fits does so, too."""
+    high, gap = low, max(low // 128, 1)
+    while not fits(high):
+        low, high, gap = high + 1, high + gap, 2 * gap
+    while high - low > high // 1000:
+        middle = (low + high) // 2
+        low, high = (low, middle) if fits(middle) else (middle + 1, high)
+    return high
+
+
+def greedy_edges(below, bound, ranks):
+    """Edges of at most `ranks` slabs of any width, each as wide as `bound` allows, from the first layer on."""
+    edges = [0]
+    while edges[-1] < len(below) - 1 and len(edges) <= ranks:
+        edges.append(int(np.searchsorted(below, below[edges[-1]] + bound, side="right")) - 1)
+    return edges
+
+
+def least_possible(work, ranks, window):
+    """A bound that no cuts can beat: an equal share, and what is in the slab, a window wide at least, of any one layer."""
+    layers = len(work)
+    if layers < window:
+        return int(work.sum())
+    windows = np.convolve(work, np.ones(window, np.int64), "valid")
+    padded = np.pad(windows, window - 1, constant_values=np.iinfo(np.int64).max)
+    around = np.lib.stride_tricks.sliding_window_view(padded, window)[:layers].min(axis=1)
+    return max(-(-int(work.sum()) // ranks), int(around.max()))
+
+
+def beginnings(below, bound, ranks, window):
+    """For 1, 2, ... slabs of at most `bound` each, until all layers are covered or ranks used up: (layers + 1,) where the last
+    of them begins if it ends at that edge, -1 where it cannot end there."""
+    edges = np.arange(len(below))
+    reached = np.where(edges == 0, 0, -1)
+    found: list[np.ndarray] = []
+    for _ in range(ranks):
+        latest = np.maximum.accumulate(np.where(reached >= 0, edges, -1))
+        begins = np.full(len(below), -1)
+        begins[window:] = latest[:-window]
+        if not found and len(below) <= window:  # fewer layers than a window belong to one rank
+            begins[-1] = 0
+        begins[(begins < 0) | (below - below[begins] > bound)] = -1
+        found.append(begins)
+        if begins[-1] >= 0:
+            break
+        reached = begins
+    return found
+
+
+def slab_works(work, edges):
+    """(ranks,) work of each slab."""
+    return np.diff(np.concatenate([[0], np.cumsum(work)])[list(edges)])
+
+
+def imbalance(works):
+    """Largest over mean work of the ranks that may have any: 1 is even. `works`: (ranks,)."""
+    return float(works.max() * len(works) / max(int(works.sum()), 1))
+
+
+@dataclass
+class Balance:
+    """Decides on new cuts, and counts what they did. `works`: of a particle of each law; `wanted`: whether cuts may move."""
+
+    works: tuple[int, ...]
+    window: int
+    wanted: bool = True
+    changes: int = 0
+    before: float = 1.0  # imbalance when cuts were looked at last, with those cuts
+    after: float = 1.0  # and with the cuts that were taken
+    best: float = 1.0  # and the best that slabs can do
+
+    def report(self):
+        """What run.json says of it."""
+        return {
+            "cuts_moved": self.changes, "imbalance": self.after, "imbalance_before": self.before, "best": self.best,
+        }  # fmt: skip
+
+    def look(self, work, edges, steps):
+        """New edges, or None where they are not worth it. `work`: (layers,) of all ranks; `steps`: since it was last asked."""
+        ranks = len(edges) - 1
+        now = slab_works(work, edges)
+        self.before = self.after = imbalance(now)
+        low = least_possible(work, max(1, min(ranks, len(work) // self.window)), self.window)
+        self.best = low * ranks / max(int(work.sum()), 1)
+        if not self.wanted or now.max() <= (1.0 + WORTH) * low:
+            return None
+        edges_then = best_edges(work, ranks, self.window)
+        then = slab_works(work, edges_then)
+        self.best = imbalance(then)
+        saved = int(now.max() - then.max())
+        if saved <= WORTH * then.max() or saved * steps <= MOVE_WORK * moved(work, edges, edges_then):
+            return None
+        self.changes += 1
+        self.after = self.best
+        return edges_then
+
+
+def moved(work, edges, edges_then):
+    """About how many particles the rank sends that sends most, if each works like a neo-Hookean one."""
+    below = np.concatenate([[0], np.cumsum(work)])
+    now, then = np.array(edges), np.array(edges_then)
+    first, last = np.maximum(now[:-1], then[:-1]), np.minimum(now[1:], then[1:])
+    kept = below[np.maximum(last, first)] - below[first]
+    return int((np.diff(below[list(edges)]) - kept).max()) // 100
