@@ -17,7 +17,7 @@ from pmpm.scene.messages import path_text, value_text
 from pmpm.scene.schema import Scene
 
 # What may change at a restart: keys that change no particle and no node, and of those the ones that act on what moves.
-WATCHING = r"title|time\.end|output\..+|guard\..+|parallel\.balance|exact\..+"
+WATCHING = r"title|time\.end|output\..+|guard\..+|parallel\..+|exact\..+"
 DRIVING = (
     r"time\.(cfl|step|ramp)|domain\.gravity.*|domain\.walls\..+|method\.(damping|flip_blend|precision)"
     r"|materials\.[^.]+\.(?!model$|density$).+|motions\[\d+\]\.velocity.*"

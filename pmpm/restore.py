@@ -5,7 +5,7 @@ same precision the simulation that is filled with them takes the same steps, bit
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -18,8 +18,9 @@ from pmpm.kernels.places import FORMATS
 from pmpm.output.datasets import Later
 from pmpm.output.files import OutputError, on_every_rank
 from pmpm.output.layout import snapshot_attributes, topology
+from pmpm.parallel.balance import best_edges
 from pmpm.scene.errors import SceneError
-from pmpm.state.particles import Ordered, Population
+from pmpm.state.particles import Loose, Ordered, Population, segment_bases
 
 OWN = "restart"  # the group of a checkpoint that a snapshot has not
 RECORD, SCENE = f"{OWN}/record", f"{OWN}/scene"
@@ -71,9 +72,11 @@ class Energy(Numbers):
 
 
 class Record(Numbers):
-    """All of it. `counts`: of each regular output (interval in s, number of the next time it is due); `outputs`: how many
+    """All of it. `axes`: of the grid (slab, middle, row), by which layers and segments are counted; `counts`: of each regular
+    output (interval in s, number of the next time it is due); `outputs`: how many
     snapshots and lines of diagnostics there were, and after which step the last ones came."""
 
+    axes: tuple[int, int, int]
     time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     step_count: Count
     dt: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -107,6 +110,7 @@ def state(simulation, outputs=None):
     """What the simulation needs to go on. Collective. Raises NumericalFailure if a particle has failed."""
     simulation.check()
     record = {
+        "axes": simulation.geometry.axes,
         "time": simulation.time,
         "step_count": simulation.step_count,
         "dt": float(simulation.dt),
@@ -193,10 +197,13 @@ class Continuation:
 
     `file`: an output.checkpoints.CheckpointFile. `changed`: whether the scene now drives the particles otherwise than the one
     that wrote it, so that the next step must be chosen anew. Raises OutputError where the file does not fit.
+    `own_layers`: which layers this rank reads, where the checkpoint was cut across another axis than the scene is now;
+    otherwise those that it owns.
     """
 
     def __init__(self, file, changed=False):
         self.file, self.changed = file, changed
+        self.own_layers = (0, 0)
         try:
             self.record = Record.model_validate_json(file.bytes_of(RECORD))
         except ValidationError as error:
@@ -206,14 +213,36 @@ class Continuation:
         """(layers, laws) particles over all ranks; reads where the particles of each law lie. Collective. SceneError for
         too many."""
         estimate.refuse_memory(simulation.scene, simulation.needs, simulation.geometry, simulation.comm)
-        on_every_rank(simulation.comm, lambda: self.read_tables(simulation))
-        return self.counts
+        comm = simulation.comm
+        on_every_rank(comm, lambda: self.read_tables(simulation))
+        if self.geometry.axes == simulation.geometry.axes:
+            return self.counts
+        edges = best_edges(self.counts.sum(axis=1), comm.size, 1)
+        self.own_layers = edges[comm.rank], edges[comm.rank + 1]
+        return comm.sum(on_every_rank(comm, lambda: self.count_turned(simulation)))
+
+    def count_turned(self, simulation):
+        """(layers, laws) particles that this rank reads, by the layers of the slab axis that the scene has now; nearly."""
+        geometry, form = simulation.geometry, FORMATS[np.dtype(self.file.precision)]
+        slab, found = geometry.axes[0], np.zeros((geometry.layers, len(self.tables)), np.int64)
+        for number, (table, label) in enumerate(zip(self.tables, self.labels, strict=True)):
+            begin, end, here = rows_of(table, *self.own_layers)
+            place = self.file.rows(f"{OWN}/{label}/place", begin, end, (simulation.dim,), form.integer)
+            base = np.repeat(segment_bases(here[:, 0], here, self.geometry.axes)[:, slab], here[:, 1])
+            layer = np.clip(base + (place[:, slab] >> form.fraction), 0, geometry.layers - 1)
+            np.add.at(found[:, number], layer, 1)
+        return found
 
     def read_tables(self, simulation):
         """Read the segments of each law, and count its particles in each layer."""
         self.labels = labels(simulation.needs.laws)
+        if sorted(self.record.axes) != sorted(simulation.geometry.axes):
+            raise OutputError(
+                f"{self.file.path} is damaged: {self.record.axes} are no axes of a {simulation.dim}-D grid"
+            )
+        self.geometry = replace(simulation.geometry, axes=self.record.axes)
         self.tables = [self.segments(simulation, number) for number in range(len(self.labels))]
-        self.counts = np.zeros((simulation.geometry.layers, len(self.tables)), np.int64)
+        self.counts = np.zeros((self.geometry.layers, len(self.tables)), np.int64)
         for number, table in enumerate(self.tables):
             np.add.at(self.counts[:, number], table[:, 0], table[:, 1])
         total = self.file.shape("VTKHDF/PointData/id")[0]
@@ -226,7 +255,7 @@ class Continuation:
         """(m, 5) segments of a law over all ranks, checked."""
         label = self.labels[number]
         table = self.file.rows(f"{OWN}/{label}/segments").astype(np.int64)
-        geometry = simulation.geometry
+        geometry = self.geometry
         of_law = simulation.tables[number][:, 0] > 0.0
         _, middle, row = geometry.axes
         homes = [geometry.layers, None, len(of_law), geometry.homes(middle) if middle >= 0 else 1, geometry.homes(row)]
@@ -247,6 +276,9 @@ class Continuation:
             raise SceneError(
                 f"{self.file.path}: time.end = {end} s lies before the checkpoint, t = {record.time:.6g} s"
             )
+        turned = self.geometry.axes != simulation.geometry.axes
+        if not turned:
+            self.own_layers = simulation.first_layer, simulation.last_layer
         simulation.populations = on_every_rank(simulation.comm, lambda: self.populations(simulation))
         simulation.held = simulation.rows()
         simulation.time, simulation.step_count, simulation.dt = record.time, record.step_count, record.dt
@@ -259,14 +291,16 @@ class Continuation:
             simulation.energy_watch.resume(record.energy.model_dump())
         elif simulation.energy_watch is not None:
             simulation.energy_watch.begin(simulation.measure())
-        if self.file.precision != simulation.scene.method.precision:
+        if turned:
+            simulation.regroup(loose=[Loose.of(p, self.geometry, simulation.kernels) for p in simulation.populations])
+        elif self.file.precision != simulation.scene.method.precision:
             simulation.regroup()  # what has been rounded may lie on the other side of a layer's end
         if self.changed or self.file.precision != simulation.scene.method.precision:
             simulation.changed_by_hand()
 
     def populations(self, simulation):
         """This rank's particles of each law."""
-        first, last = simulation.first_layer, simulation.last_layer
+        first, last = self.own_layers
         ids, velocities = self.common(simulation)
         found = []
         for number, layout in enumerate(simulation.layouts):
@@ -286,7 +320,7 @@ class Continuation:
 
     def common(self, simulation):
         """([ids of each law], [velocities (n, dim) of each law]) of this rank's particles."""
-        first, last = simulation.first_layer, simulation.last_layer
+        first, last = self.own_layers
         begin, end = (int(self.counts[:layer].sum()) for layer in (first, last))
         mine = self.counts[first:last]
         law = np.repeat(np.tile(np.arange(mine.shape[1]), len(mine)), mine.reshape(-1))
@@ -297,11 +331,9 @@ class Continuation:
     def ordered(self, simulation, number, ids, velocities):
         """This rank's rows of a law."""
         file, real, layout = self.file, simulation.real, simulation.layouts[number]
-        label, table = self.labels[number], self.tables[number]
-        here = (table[:, 0] >= simulation.first_layer) & (table[:, 0] < simulation.last_layer)
-        begin = int(table[table[:, 0] < simulation.first_layer, 1].sum())
-        end = begin + int(table[here, 1].sum())
-        ordered = Ordered(np.empty((end - begin, layout.size), real), ids, table[here])
+        label = self.labels[number]
+        begin, end, table = rows_of(self.tables[number], *self.own_layers)
+        ordered = Ordered(np.empty((end - begin, layout.size), real), ids, table)
         theirs, ours = FORMATS[np.dtype(file.precision)], FORMATS[np.dtype(real)]
         place = file.rows(f"{OWN}/{label}/place", begin, end, (simulation.dim,), theirs.integer)
         ordered.places[:, layout.where("x")] = ours.moved_from(theirs, place)
@@ -322,8 +354,8 @@ class Continuation:
 
     def check_places(self, simulation, number, ordered):
         """Raise OutputError for particles further from their layer than P2G may find them, or outside the domain."""
-        stencil, slab = simulation.geometry.stencil, simulation.geometry.axes[0]
-        form, bases = FORMATS[ordered.reals.dtype], ordered.bases(simulation.geometry.axes)
+        stencil, slab = self.geometry.stencil, self.geometry.axes[0]
+        form, bases = FORMATS[ordered.reals.dtype], ordered.bases(self.geometry.axes)
         place = ordered.places[:, : simulation.dim].astype(np.int64)
         drift = np.abs(place[:, slab] - form.whole(0.5 - stencil.round))
         sixty_fourths = 64 * bases + (place >> (form.fraction - 6))
@@ -333,3 +365,9 @@ class Continuation:
             raise OutputError(
                 f"{self.file.path} is damaged: a particle of {self.labels[number]} is not where its layer is"
             )
+
+
+def rows_of(table, first, last):
+    """(first row, last row + 1, segments) of layers first .. last - 1 in the segments of a law."""
+    begin, end = np.searchsorted(table[:, 0], (first, last))
+    return int(table[:begin, 1].sum()), int(table[:end, 1].sum()), table[begin:end]
