@@ -560,6 +560,17 @@ BROKEN = [
     ),
     ("copy as word", GOOD + '[guard]\nkeep_copy = "yes"\n', ["guard.keep_copy", "true or false"]),
     ("no steps between copies", GOOD + "[guard]\ninterval = 0\n", ["guard.interval = 0 must be a whole number"]),
+    (
+        "no such slab axis",
+        GOOD + '[parallel]\nslab_axis = "w"\n',
+        ['parallel.slab_axis = "w"', "x, y, z"],
+    ),
+    (
+        "slabs across an axis that is not there",
+        GOOD + '[parallel]\nslab_axis = "z"\n',
+        ['parallel.slab_axis = "z" must be one of x, y in a 2-D scene'],
+    ),
+    ("balance as number", GOOD + "[parallel]\nbalance = 1\n", ["parallel.balance", "true or false"]),
     ("title as number", change('title = "good"', "title = 3"), ["title = 3", "text in quotes"]),
 ]
 
