@@ -252,10 +252,10 @@ def main():
     codes = Codes(core, out.resolve())
     try:
         measure(wanted, rows, codes)
+        measure_startups(rows, given.peers, core)
     finally:
         codes.close()
-    measure_startups(rows, given.peers, core)
-    rows.add(CALL, time.time(), {"spent": time.perf_counter() - began})
+        rows.add(CALL, time.time(), {"spent": time.perf_counter() - began})
     minutes = sum(row["spent"] for (key, _), row in rows.known.items() if key == CALL) / 60.0
     found = Found(wanted, rows, setting(), given.quick, minutes, absent if given.peers else None)
     lines, compared = disagreements(wanted, rows)

@@ -43,7 +43,7 @@ def machine():
         lines = []
     model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{model}, {cores} cores"
+    return f"{model}, {cores} core{'s' if cores != 1 else ''}"
 
 
 def facts(planned, rows, ranks):
