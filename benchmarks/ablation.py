@@ -341,6 +341,7 @@ def main():
         guards[name] = guard_costs(name, QUICK_BLOCK if given.quick else MILLION, rounds)
         print("    check {:+.3f}, energies {:.4f} of a step of {:.1f} ns".format(*guards[name]), flush=True)
     if given.docs:
+        (given.docs / "results").mkdir(parents=True, exist_ok=True)
         (given.docs / "results" / "ablation.md").write_text(
             page(unused, cut, rows, guards, rounds, cells), encoding="utf-8"
         )
