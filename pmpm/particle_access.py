@@ -50,9 +50,8 @@ class Particles:
         geometry = self.simulation.geometry
         cells = x / geometry.cell_size
         node = np.floor(cells + geometry.stencil.round)
-        for axis in range(
-            geometry.dim
-        ):  # what stands on a wall, or has passed it a little, belongs to the last node inside
+        # What stands on a wall, or has passed it a little, belongs to the last node inside.
+        for axis in range(geometry.dim):
             if not geometry.periodic[axis]:
                 node[:, axis] = np.clip(node[:, axis], 0, geometry.homes(axis) - 1)
         place = self.simulation.needs.places.from_cells(cells - node)

@@ -73,8 +73,8 @@ class Energy(Numbers):
 
 class Record(Numbers):
     """All of it. `axes`: of the grid (slab, middle, row), by which layers and segments are counted; `counts`: of each regular
-    output (interval in s, number of the next time it is due); `outputs`: how many
-    snapshots and lines of diagnostics there were, and after which step the last ones came."""
+    output (interval in s, number of the next time it is due); `outputs`: how many snapshots and lines of diagnostics there
+    were, and after which step the last ones came."""
 
     axes: tuple[int, int, int]
     time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -286,14 +286,14 @@ class Continuation:
         simulation.counts, simulation.outputs = dict(record.counts), dict(record.outputs)
         self.move_regions(simulation)
         simulation.control.resume(record.control.model_dump())
+        if turned:
+            simulation.regroup(loose=[Loose.of(p, self.geometry, simulation.kernels) for p in simulation.populations])
         simulation.note_loads()
         if simulation.energy_watch is not None and record.energy is not None:
             simulation.energy_watch.resume(record.energy.model_dump())
         elif simulation.energy_watch is not None:
             simulation.energy_watch.begin(simulation.measure())
-        if turned:
-            simulation.regroup(loose=[Loose.of(p, self.geometry, simulation.kernels) for p in simulation.populations])
-        elif self.file.precision != simulation.scene.method.precision:
+        if self.file.precision != simulation.scene.method.precision:
             simulation.regroup()  # what has been rounded may lie on the other side of a layer's end
         if self.changed or self.file.precision != simulation.scene.method.precision:
             simulation.changed_by_hand()
