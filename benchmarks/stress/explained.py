@@ -20,8 +20,9 @@ weights sum to one less 8e-17 ([why](conservation.md)): 6e-13 of momentum in 400
     "S4": """the length of a step
 
 The step is that ratio of the current bound in every step, beyond 1 too, where `time.cfl` refuses it; a user comes there with
-`time.force_step` alone, and is warned at the start. What is F beyond 2 are forced runs that the guard did not stop: energy grew
-several times, and to an end in those numbers.
+`time.force_step` alone, and is warned at the start. What is F at 2 and 3 are forced runs that came to their end with more
+energy than they may have (the guard stops a run that gains 0.3 of what moves, these gained less at each look, or lost it
+again): wrong numbers behind a warning.
 """,
     "S5": """inversion
 
