@@ -47,7 +47,7 @@ def smallest(low, fits):
     high, gap = low, max(low // 128, 1)
     while not fits(high):
         low, high, gap = high + 1, high + gap, 2 * gap
-    while high - low > high // 1000:
+    while high - low > low // 1000:
         middle = (low + high) // 2
         low, high = (low, middle) if fits(middle) else (middle + 1, high)
     return high

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmpm.parallel.balance import MOVE_WORK, Balance, best_edges, imbalance, least_possible, moved, slab_works
+from pmpm.parallel.balance import MOVE_WORK, Balance, best_edges, imbalance, least_possible, moved, slab_works, smallest
 from pmpm.parallel.slabs import Slabs, room
 
 WORK = st.lists(st.one_of(st.just(0), st.integers(0, 3), st.integers(0, 10**12)), min_size=1, max_size=13)
@@ -33,6 +33,13 @@ def test_no_cuts_give_the_busiest_rank_less_by_more_than_a_thousandth(work, rank
     best = min(slab_works(work, found).max() for found in all_edges(len(work), ranks, window))
     assert best <= slab_works(work, edges).max() <= best + best // 1000
     assert least_possible(work, min(ranks, room(len(work), window)), window) <= best
+
+
+@pytest.mark.parametrize("least", [0, 1, 7, 999, 123_456, 10**15])
+@pytest.mark.parametrize("below", [0.0, 0.3, 0.999, 1.0])
+def test_the_smallest_bound_that_fits_is_found_to_a_thousandth(least, below):
+    found = smallest(int(below * least), lambda bound: bound >= least)
+    assert least <= found <= least + least // 1000
 
 
 def test_fewer_ranks_are_taken_where_more_would_make_the_busiest_busier():

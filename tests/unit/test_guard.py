@@ -112,6 +112,19 @@ def test_the_largest_strain_rate_of_the_last_steps_bounds_the_step(loops, monkey
     assert simulation.control.recent[2] < 100.0
 
 
+def test_a_bound_stays_until_it_has_changed_by_more_than_a_twentieth():
+    control = pmpm.Simulation(scene()).control
+    bounds = []
+    for step, speed in enumerate(
+        [*[1.0] * RECENT, *[0.97] * RECENT, *[0.96] * RECENT, *[0.9] * (2 * RECENT), 1.1], RECENT
+    ):
+        control.learn(step, [speed**2, 0.0, 0.0, 0.0, 0.0])
+        bounds.append(control.recent[0])
+    assert bounds[: 4 * RECENT] == [1.0] * (4 * RECENT)  # at 0.96, too, and until 0.9 has been all for RECENT steps
+    assert bounds[4 * RECENT : -1] == pytest.approx([0.9] * RECENT)
+    assert bounds[-1] == pytest.approx(1.1)
+
+
 @pytest.mark.parametrize("transfer", ["apic", "mls"])
 def test_a_compressed_particle_of_water_alone_swings_and_stays_whole(transfer):
     water = {"model": "fluid", "density": 1000.0, "sound_speed": 10.0, "tension_cutoff": False}
