@@ -18,7 +18,7 @@ from pmpm.scene.errors import SceneError
 from pmpm.scene.schema import Method, Scene
 from pmpm.simulation import Simulation
 
-STEPS = 50
+STEPS = 60
 LINEAR_STEPS = (
     8  # of linear splines, whose free surfaces turn unstable: round-off grows tenfold every few steps from then on
 )

@@ -33,9 +33,10 @@ def test_a_step_travels_at_the_speed_of_its_wave(shears):
 @pytest.mark.parametrize("mach", [0.5, 2.0])
 @pytest.mark.parametrize("material", [RUBBER, shock.WATER], ids=["rubber", "water"])
 def test_a_shock_has_the_stress_and_the_place_of_rankine_and_hugoniot(material, mach):
-    found = shock.measured(shock.Impact(material, mach), 100)
-    assert abs(found["stress"]) < 0.02  # measured 1.8 % at most, rubber at V = 2 c
-    assert abs(found["cells"]) < found["allowed"]  # measured 0.6 cells at most
+    # On 100 cells the mean over what still swings by 20 % behind the front is off by up to 2.5 % at one moment.
+    found = shock.measured(shock.Impact(material, mach), 200)
+    assert abs(found["stress"]) < 0.02  # measured 0.8 % at most
+    assert abs(found["cells"]) < found["allowed"]  # measured 0.9 cells at most
 
 
 def test_a_fixed_corotated_bar_beyond_its_wave_speed_is_crushed_to_numbers():
