@@ -25,6 +25,7 @@ import traceback
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import machine
 from stages import Progress
 from stress import ranks
 from stress.cases import CASES
@@ -69,6 +70,7 @@ def run_entry(entry):
 
 def run_as_child(out, keys):
     """Run entries by their keys; a run that takes too long ends the process with a traceback, wherever it is."""
+    commit = machine.commit()
     known = {
         entry.key: entry for case in CASES for s in case.schemes for v in case.variants for entry in [Entry(case, s, v)]
     }
@@ -77,7 +79,7 @@ def run_as_child(out, keys):
         faulthandler.dump_traceback_later(entry.case.limit + STARTING, exit=True)
         result = run_entry(entry)
         faulthandler.cancel_dump_traceback_later()
-        write(result_of(entry, out), {"entry": str(entry), "expected": entry.expected} | result)
+        write(result_of(entry, out), {"entry": str(entry), "expected": entry.expected, "commit": commit} | result)
 
 
 def write(path, result):
@@ -111,7 +113,7 @@ def run_group(group, out):
             why = "a hang: over its time" if late else f"a crash: exit status {status}, {said.strip()[-300:]}"
             write(
                 result_of(missing[0], out),
-                {"entry": str(missing[0]), "expected": missing[0].expected}
+                {"entry": str(missing[0]), "expected": missing[0].expected, "commit": machine.commit()}
                 | Found(wrong=[why]).as_dict() | {"wall": missing[0].case.limit if late else 0.0},
             )  # fmt: skip
         yield from (entry for entry in left if result_of(entry, out).exists())

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from datetime import date
 
 import machine
 import matplotlib
@@ -159,15 +160,16 @@ def page(results, not_run, jobs, verdict):
     tally = {letter: sum(r["verdict"] == letter for r in results.values()) for letter in (SURVIVES, STOPPED, FAILED)}
     sweeps = {case: schemes for case, schemes in cases.items() if case.row == "S4"}
     left = f"\n{not_run} more of the matrix were not run for this page: their cells are empty.\n" if not_run else ""
-    told = f"{jobs} at once on one machine, so that times are longer than alone" if jobs > 1 else "one at a time"
+    told = f"{jobs} at once on one machine" if jobs > 1 else "one at a time"
+    commits = ", ".join(dict.fromkeys(run["commit"] for run in results.values()))
     return f"""# The stability matrix
 
 `python benchmarks/stability.py --docs docs` wrote this page: {len(results)} runs of stiff and extreme scenes under every
 transfer, spline and precision. {tally[SURVIVES]} survive (S), {tally[STOPPED]} stop or are refused with a clear message (E),
 {tally[FAILED]} fail (F). A ✘ marks what is not what its row expects; nothing that fails is left out.
 {left}
-{machine.text()}; runs {told}, with what it
-takes to judge them.
+{machine.processor()}; {machine.versions()}; found at {commits}, up to {date.today().isoformat()}. Runs {told}, with what it
+takes to judge them; times are those of a machine that may have had other work.
 
 ![The matrix in colours](../pictures/stability.png)
 

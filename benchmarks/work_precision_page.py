@@ -289,12 +289,13 @@ def write(docs, found, reasons, compared, failed):
     contested = list(dict.fromkeys(claim.case for claim in found.claims()))
     if found.claims():
         verdict += (
-            f" No peer reaches any of these errors of {' and '.join(contested)} sooner than pmpm."
+            f" No peer reaches any of these errors of {', '.join(contested)} sooner than pmpm."
             if not lost
             else f"\n\nA peer is sooner at {len(lost)} of {len(found.claims())} errors: marked below."
         )
     rounds = max((found.rounds(case) for case in found.cases), default=0)
     arguments = (" --quick" if found.quick else "") + (" --peers" if found.absent is not None else "")
+    arguments += f" --rounds {rounds}"
     cases = "\n".join(f"- {case}: {ABOUT[case]}" for case in found.cases)
     minutes = f" in {found.minutes:.0f} minutes"
     text = PAGE.format(

@@ -98,11 +98,10 @@ class Memory:
 
 def memory(scene, needs, geometry, counts):
     """What the particles, `counts` per body, and the grid of a scene take."""
-    from pmpm.kernels.needs import law_needs
+    from pmpm.scene.needs import law_of_body
 
     sizes = [sum(fields.values()) for fields in bytes_per_particle(needs)]
-    materials = [scene.materials[body.material] for body in scene.bodies]
-    of_body = np.array([sizes[needs.laws.index(law_needs(m.model, m.parameters))] for m in materials], float)
+    of_body = np.array([sizes[needs.laws.index(law_of_body(scene, body))] for body in scene.bodies], float)
     filling = FILLING_COPIES * of_body + FILLING_BYTES * scene.dim
     held = float(counts @ of_body)
     return Memory(held, float(counts @ filling), grid_bytes(needs, geometry), held if scene.guard.keep_copy else 0.0)

@@ -6,12 +6,12 @@ import numpy as np
 
 from pmpm import estimate
 from pmpm.kernels import targets
-from pmpm.kernels.needs import law_needs
 from pmpm.parallel.regroup import migrate
 from pmpm.scene import geostatic, seeding, start
 from pmpm.scene.errors import SceneError
 from pmpm.scene.functions import Unfit
 from pmpm.scene.messages import value_text
+from pmpm.scene.needs import law_of_body
 from pmpm.scene.schema import ROUNDING
 from pmpm.state.derived import DENSITY, PARAMETERS
 from pmpm.state.particles import Cloud, Loose
@@ -48,8 +48,7 @@ def count_per_layer(simulation):
     first, last = (layers * r // simulation.comm.size for r in (simulation.comm.rank, simulation.comm.rank + 1))
     counts = simulation.comm.sum(seeding.count_per_layer(simulation.scene, simulation.geometry, first, last))
     refuse_empty(counts.sum(axis=1))
-    of_body = [simulation.scene.materials[body.material] for body in simulation.scene.bodies]
-    laws = [simulation.needs.laws.index(law_needs(m.model, m.parameters)) for m in of_body]
+    laws = [simulation.needs.laws.index(law_of_body(simulation.scene, body)) for body in simulation.scene.bodies]
     found = np.zeros((layers, len(simulation.needs.laws)), np.int64)
     np.add.at(found.T, laws, counts)
     return found
@@ -121,8 +120,7 @@ def cloud(simulation, law, seeds, loads):
     """
     layout, parts, complaints = simulation.layouts[law], [], []
     for number, (body, body_seeds) in enumerate(zip(simulation.scene.bodies, seeds, strict=True)):
-        material = simulation.scene.materials[body.material]
-        if law_needs(material.model, material.parameters) != simulation.needs.laws[law]:
+        if law_of_body(simulation.scene, body) != simulation.needs.laws[law]:
             continue
         order = by_layer(simulation, body_seeds)
         body_seeds = body_seeds.take(order)

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmpm.parallel.slabs import room
+
 NODE_WORK = 50  # measured: 0.45 (3-D, float32), 0.52 (3-D, float64), 0.71 (2-D) particle-steps
-MOVE_WORK = 1000  # of a particle that changes ranks: packing, sending, and its share of new patches; 300 ns
+MOVE_WORK = 1000  # of a particle that changes ranks, packing, sending and its share of new patches: an estimate
 WORTH = 0.02  # of the busiest rank's work that new cuts must save at least
 
 
@@ -18,9 +20,13 @@ def layer_work(populations, works, boxes):
     """(layers,) int64 work of this rank's layers: populations by law with their works, `boxes` (layers, 4) of nodes."""
     total = NODE_WORK * np.prod(np.clip(boxes[:, 1::2] - boxes[:, ::2], 0, None), axis=1)
     for population, work in zip(populations, works, strict=True):
-        below = np.concatenate([[0], np.cumsum(population.segments[:, 1])])[population.layer_start]
-        total += work * np.diff(below)
+        total += work * np.diff(sums_below(population.segments[:, 1])[population.layer_start])
     return total
+
+
+def sums_below(work):
+    """(n + 1,) what all before the first, the second, ... of `work` (n,) add up to."""
+    return np.concatenate([[0], np.cumsum(work)])
 
 
 def best_edges(work, ranks, window):
@@ -28,10 +34,9 @@ def best_edges(work, ranks, window):
 
     work: (layers,) integers. Not more than `ranks` slabs; fewer where that is better, or where there is no room for more.
     """
-    below = np.concatenate([[0], np.cumsum(work)])
-    layers = len(work)
-    most = max(1, min(ranks, layers // window))
-    low = smallest(least_possible(work, most, window), lambda bound: greedy_edges(below, bound, most)[-1] == layers)
+    below, layers = sums_below(work), len(work)
+    most = min(ranks, room(layers, window))
+    low = smallest(least_possible(work, ranks, window), lambda bound: greedy_edges(below, bound, most)[-1] == layers)
     edges = greedy_edges(below, low, most)
     if np.diff(edges).min() < window:  # the width binds somewhere, and greed fails
         high = smallest(low, lambda bound: beginnings(below, bound, most, window)[-1][layers] >= 0)
@@ -66,6 +71,7 @@ def least_possible(work, ranks, window):
     layers = len(work)
     if layers < window:
         return int(work.sum())
+    ranks = min(ranks, room(layers, window))
     windows = np.convolve(work, np.ones(window, np.int64), "valid")
     padded = np.pad(windows, window - 1, constant_values=np.iinfo(np.int64).max)
     around = np.lib.stride_tricks.sliding_window_view(padded, window)[:layers].min(axis=1)
@@ -94,7 +100,7 @@ def beginnings(below, bound, ranks, window):
 
 def slab_works(work, edges):
     """(ranks,) work of each slab."""
-    return np.diff(np.concatenate([[0], np.cumsum(work)])[list(edges)])
+    return np.diff(sums_below(work)[list(edges)])
 
 
 def imbalance(works):
@@ -125,7 +131,7 @@ class Balance:
         ranks = len(edges) - 1
         now = slab_works(work, edges)
         self.before = self.after = imbalance(now)
-        low = least_possible(work, max(1, min(ranks, len(work) // self.window)), self.window)
+        low = least_possible(work, ranks, self.window)
         self.best = low * ranks / max(int(work.sum()), 1)
         if not self.wanted or now.max() <= (1.0 + WORTH) * low:
             return None
@@ -142,8 +148,8 @@ class Balance:
 
 def moved(work, edges, edges_then):
     """About how many particles the rank sends that sends most, if each works like a neo-Hookean one."""
-    below = np.concatenate([[0], np.cumsum(work)])
+    below = sums_below(work)
     now, then = np.array(edges), np.array(edges_then)
     first, last = np.maximum(now[:-1], then[:-1]), np.minimum(now[1:], then[1:])
     kept = below[np.maximum(last, first)] - below[first]
-    return int((np.diff(below[list(edges)]) - kept).max()) // 100
+    return int((slab_works(work, edges) - kept).max()) // 100

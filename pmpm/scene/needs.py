@@ -16,10 +16,15 @@ MOST_IDS = 2**63  # ids are 64-bit integers
 MOST_NODES = 75_000_000  # of a plane: 7 planes of 4 reals are counted in 32 bits
 
 
+def law_of_body(scene, body):
+    """The LawNeeds of a body's material."""
+    material = scene.materials[body.material]
+    return law_needs(material.model, material.parameters)
+
+
 def scene_needs(scene):
     """What a scene asks of the kernels."""
-    used = [scene.materials[body.material] for body in scene.bodies]
-    laws = tuple(dict.fromkeys(law_needs(m.model, m.parameters) for m in used))
+    laws = tuple(dict.fromkeys(law_of_body(scene, body) for body in scene.bodies))
     walls = tuple(sorted({wall.type for wall in scene.domain.walls.values()} - {"free"}))
     method = scene.method
     asked = scene.parallel.slab_axis
@@ -83,9 +88,8 @@ def law_table(scene, law):
     rows: list[list[float] | None] = []
     volume = scene.domain.cell_size**dim
     for body in scene.bodies:
-        material = scene.materials[body.material]
-        if law_needs(material.model, material.parameters) == law:
-            keys = material.parameters
+        if law_of_body(scene, body) == law:
+            keys = scene.materials[body.material].parameters
             volume0 = volume / body.particles_per_cell
             rows.append([keys["density"] * volume0, volume0, keys["density"], *law.module.parameters(keys, dim)])
         else:
