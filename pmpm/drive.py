@@ -27,6 +27,11 @@ class Drive:
             region.meet(geometry, patch)
         self.start(self.time)
 
+    def lay_out(self):
+        """Take note that the patch has other nodes."""
+        for region in self.regions:
+            region.lay_out()
+
     def start(self, time):
         """Set what acts in a step that begins at `time` (s)."""
         self.time, self.factor = time, self.real(self.grown(time))
@@ -70,6 +75,10 @@ class Region:
     def meet(self, geometry, patch):
         self.geometry, self.patch, self.found = geometry, patch, None
 
+    def lay_out(self):
+        """Take note that the patch has other nodes."""
+        self.found = None
+
     def start(self, time):
         self.velocity = np.array(velocity_at(self.motion.velocity, time))
 
@@ -79,42 +88,42 @@ class Region:
             self.found = None
 
     def nodes(self):
-        """(planes, middles, rows) numbers of the nodes of the patch that lie in the region now."""
+        """(planes, numbers) of the nodes of the patch that lie in the region now."""
         if self.found is None:
             self.found = nodes_inside(self.motion.shape, self.travelled, self.geometry, self.patch)
         return self.found
 
     def impose(self, nodes, first, last):
         """Give its velocity to nodes on planes first .. last - 1 that hold material."""
-        i, j, k = self.nodes()
-        here = (i >= first) & (i < last)
-        i, j, k = i[here], j[here], k[here]
-        held = nodes[i, j, k, 3] > 0.0
-        nodes[i[held], j[held], k[held], : len(self.velocity)] = self.velocity
+        plane, number = self.nodes()
+        number = number[(plane >= first) & (plane < last)]
+        held = number[nodes[number, 3] > 0.0]
+        nodes[held, : len(self.velocity)] = self.velocity
 
 
 def nodes_inside(shape, shift, geometry, patch):
-    """Numbers (planes, middles, rows) of a patch's nodes inside a shape that has moved by `shift` (m)."""
+    """(planes, numbers) of a patch's nodes inside a shape that has moved by `shift` (m)."""
     low, high = shape.bounds()
-    ranges, coordinates = [], []
-    for place, axis in enumerate(geometry.axes):
+
+    def along(place, number):
+        """Coordinates (m) before the shape moved, and whether its bounds hold them."""
+        axis = geometry.axes[place]
         if axis < 0:
-            ranges.append(np.zeros(1, np.int64))
-            continue
-        first = patch.first_plane if place == 0 else -geometry.stencil.reach_low
-        number = np.arange(patch.nodes.shape[place])
-        node = first + number
+            return None, True
+        node = number + (patch.first_plane if place == 0 else -geometry.stencil.reach_low)
         if geometry.periodic[axis]:
             node = node % geometry.cells[axis]
-        x = node * geometry.cell_size
-        near = (x >= low[axis] + shift[axis]) & (x <= high[axis] + shift[axis])
-        ranges.append(number[near])
-        coordinates.append((axis, place, x[near]))
-    mesh = np.meshgrid(*ranges, indexing="ij")
-    points = np.empty((mesh[0].size, geometry.dim))
-    shape_of = [len(numbers) for numbers in ranges]
-    for axis, place, x in coordinates:
-        along = np.reshape(x, [-1 if p == place else 1 for p in range(3)])
-        points[:, axis] = np.broadcast_to(along, shape_of).ravel() - shift[axis]
+        x = node * geometry.cell_size - shift[axis]
+        return x, (x >= low[axis]) & (x <= high[axis])
+
+    rows = patch.spans[:, 0]
+    near = along(0, rows // patch.rows)[1] & along(1, rows % patch.rows)[1]
+    node_of = patch.nodes_of(near)
+    inside = along(2, node_of[2])[1]
+    node_of = [numbers[inside] for numbers in node_of]
+    points = np.empty((len(node_of[0]), geometry.dim))
+    for place, axis in enumerate(geometry.axes):
+        if axis >= 0:
+            points[:, axis] = along(place, node_of[place])[0]
     inside = shape.contains(points)
-    return tuple(numbers.ravel()[inside] for numbers in mesh)
+    return node_of[0][inside], patch.find(*node_of)[inside]

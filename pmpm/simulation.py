@@ -2,9 +2,10 @@
 
 dt         from a reduction started some steps ago           timestep
 regroup    when due: migration and sorting are one event     parallel.regroup
-P2G        layer by layer, particles to nodes                kernels
+nodes      laid out anew when particles may leave them       state.grid
+P2G        edge layers, particles to nodes                   kernels, parallel.parts
 halo       shared planes on their way                        parallel.halo
-G2P        interior layers, meanwhile                        kernels
+P2G, G2P   interior layers, meanwhile
 halo       sums completed, the same way on both sides
 G2P        edge layers
 observers  whoever watches
@@ -19,11 +20,12 @@ from pmpm import failure, guard, populate, readout, restart, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
-from pmpm.kernels.loops import EMPTY_BOX, FARTHEST, FORCES, SETTLED, WORKS
+from pmpm.kernels.loops import FARTHEST, FORCES, SETTLED, WORKS
 from pmpm.kernels.places import TRAVEL
 from pmpm.parallel import comm as communication
 from pmpm.parallel.balance import Balance, best_edges, layer_work
 from pmpm.parallel.halo import Halo
+from pmpm.parallel.parts import Crew, parts_of, pieces
 from pmpm.parallel.regroup import migrate
 from pmpm.parallel.slabs import Slabs, room
 from pmpm.particle_access import Particles
@@ -31,7 +33,7 @@ from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
 from pmpm.state.derived import PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
-from pmpm.state.grid import Patch
+from pmpm.state.grid import SLACK, Patch
 from pmpm.state.particles import Loose, Population, assemble
 from pmpm.timestep import FAILED, FORCE, GRADIENT, LAG, REQUEST, SPEED, WAVE, StepControl
 from pmpm.watching import STOP, Observer, Timers, next_count, spread
@@ -44,7 +46,7 @@ class Simulation:
     the scene holds no particles or a fixed time step is beyond the stable one.
     """
 
-    def __init__(self, scene, comm=None, tell=None, source=None):
+    def __init__(self, scene, comm=None, tell=None, source=None, threads=1):
         self.comm = communication.adopt(comm)
         self.scene, self.tell = scene, tell or (lambda message: None)
         self.dim, self.real = scene.dim, np.dtype(scene.method.precision).type
@@ -55,9 +57,9 @@ class Simulation:
         self.tables = [law_table(scene, law) for law in self.needs.laws]
         self.kernel_tables = [table.astype(self.real) for table in self.tables]
         self.drive = Drive(scene, self.real)
+        self.crew = Crew(threads)
         self.blend = self.real(scene.method.flip_blend or 0.0)
         self.dx, self.inv_dx = self.real(scene.domain.cell_size), self.real(1.0 / scene.domain.cell_size)
-        self.wraps = any(self.geometry.periodic[axis] for axis in self.geometry.axes[1:] if axis >= 0)
         self.limits, self.ends = domain_limits(scene, self.geometry)
         self.time, self.step_count = 0.0, 0
         self.request = 0  # what this rank is asked for, until all ranks have been told
@@ -76,7 +78,9 @@ class Simulation:
             raise SceneError(
                 f"environment: PMPM_LOOPS = {loops!r} is not a kind of loops; known are {', '.join(build.LOOPS)}"
             )
-        self.kernels = build.build(self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables], loops)
+        self.kernels = build.build(
+            self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables], loops, threads
+        )
 
         self.control = StepControl(
             self.comm, scene.time, scene.domain.cell_size, self.dim, FARTHEST / 64, SETTLED / 64, TRAVEL
@@ -122,6 +126,7 @@ class Simulation:
         )
         self.first_layer, self.last_layer = self.slabs.owned(self.comm.rank)
         self.works = np.zeros(self.last_layer - self.first_layer)
+        self.steps = np.zeros(self.crew.threads)  # the largest in cells that each thread has seen
         self.patch = Patch(
             self.geometry,
             self.first_layer,
@@ -130,8 +135,10 @@ class Simulation:
             self.real,
             self.needs.scheme.blends,
             self.needs.f_bar,
+            self.crew.threads,
         )
         self.halo = Halo(self.comm, self.slabs, self.patch, self.kernels)
+        self.kept_by_halo = len(self.patch.apart)
         self.walls = patch_walls(self.scene, self.geometry, self.patch, self.real)
         self.drive.meet(self.geometry, self.patch, self.walls)
 
@@ -156,6 +163,26 @@ class Simulation:
                 )
             )
         self.held = self.rows()
+        self.share_layers()
+
+    def share_layers(self):
+        """Say which layers are summed first, and which thread does what; nodes are laid out anew before the next step."""
+        work = layer_work(self.populations, self.balance.works, self.patch.layer_quads)
+        self.parts = parts_of(
+            work, self.needs.stencil.window, self.halo.low_shared, self.halo.high_shared, self.crew.threads
+        )
+        taken = set(self.patch.apart[: self.kept_by_halo])
+        del self.patch.apart[self.kept_by_halo :]
+        self.apart = self.patch.keep_apart([pair for pair in self.parts.apart if pair not in taken])
+        self.patch.stale = True
+
+    def lay_out(self):
+        """Take the nodes that the particles reach now."""
+        self.patch.lay_out(self.populations, self.kernels, [(wall.place, wall.on) for wall in self.walls])
+        for wall in self.walls:
+            wall.lay_out(self.patch)
+        self.drive.lay_out()
+        self.halo.lay_out()
 
     def pad_values(self, layout):
         values = np.zeros(layout.size, self.real)
@@ -178,21 +205,21 @@ class Simulation:
         self.settle_in(loose, [None] * len(loose))
 
     def warm_up(self):
+        self.lay_out()
         if self.needs.scheme.blends:
-            self.scatter(0, 0, 0.0, self.kernels.p2g_before)
+            self.p2g((0, 0), 0, 0.0, self.kernels.p2g_before)
         if self.needs.f_bar:
-            self.scatter(0, 0, 0.0, self.kernels.p2g_divergence)
-            self.measure_divergence(0)
-        self.scatter(0, 0, 0.0)
-        self.update_planes(0, 0, 0.0)
-        self.g2p(0, 0, self.real(0), np.zeros(REQUEST + 1))
-        if self.slabs.cuts:
+            self.p2g((0, 0), 0, 0.0, self.kernels.p2g_divergence)
+            self.measure_divergence((0, 0), 0)
+        self.p2g((0, 0), 0, 0.0, self.kernels.p2g)
+        self.update_planes((0, 0), 0.0)
+        self.g2p((0, 0), 0, self.real(0))
+        if self.slabs.cuts or len(self.apart):
             self.halo.warm_up()
-        nothing, normal, none = (0,) * 9, np.zeros(self.dim, self.real), self.real(0)
-        nodes, boxes = self.patch.nodes, self.patch.boxes
+        nothing, normal, none = np.zeros((0, 5), np.int64), np.zeros(self.dim, self.real), self.real(0)
         for wall, image in zip(self.kernels.walls.values(), self.kernels.images.values(), strict=True):
-            wall(nodes, boxes, *nothing, normal, none, normal)
-            image(nodes, boxes, *nothing, normal, normal)
+            wall(self.patch.nodes, nothing, 0, 0, normal, none, normal)
+            image(self.patch.nodes, nothing, 0, 0, normal, normal)
 
     def fastest(self):
         """Maxima over this rank's particles in the order of what is reduced: |v|^2, c^2, |C|^2 where particles have it, and
@@ -295,51 +322,54 @@ class Simulation:
 
     def advance(self, dt):
         now = clock.perf_counter()
+        if self.patch.stale or self.patch.travelled > SLACK:
+            self.lay_out()
+            now = self.timers.add("layout", now)
         extremes = np.zeros(REQUEST + 1)
         extremes[FAILED] = -math.inf
-        self.kernels.scratch[FORCES:WORKS] = 0.0
+        self.kernels.scratch[:, FORCES:WORKS] = 0.0
         self.works[:] = 0.0
         self.failed.clear()
+        self.steps[:] = 0.0
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
         self.drive.start(self.time)
         if self.needs.scheme.blends:
             self.keep_velocities(dt)
             now = self.timers.add("p2g before", now)
-        runs = self.scatter(0, layers, dt)
-        extremes[FORCE] = self.kernels.scratch[FORCES:WORKS].max()
+        runs = self.scatter(dt, self.kernels.p2g)
+        extremes[FORCE] = self.kernels.scratch[:, FORCES:WORKS].max()
         if self.energy_watch is not None and self.needs.driven:
             self.energy_watch.note_work(self.works)
         self.control.disorder.start(self.step_count + 1, runs, self.held)
-        now = self.timers.add("p2g", now)
-        posted = self.halo.start()
-        now = self.timers.add("halo", now)
-
-        # Averages come first, or there is nobody to wait for: nothing to do meanwhile.
-        if self.needs.f_bar or self.comm.size == 1:
-            self.halo.finish(posted)
-            self.widen_boxes()
-            self.update_planes(0, planes, dt)
-            if self.needs.f_bar:
-                self.average_divergence(dt)
-            self.g2p(0, layers, dt, extremes)
+        now = clock.perf_counter()
+        if self.needs.f_bar:  # averages come first: there is nothing to do meanwhile
+            self.finish_halo()
+            self.update(0, planes, dt)
+            self.average_divergence(dt)
+            self.gather([*self.parts.edges, *self.parts.inner], dt, extremes)
             self.end_step(dt, extremes, now)
             return
-        shared = self.needs.stencil.window - 1
-        low, high = shared * self.halo.low_shared, shared * self.halo.high_shared
-        inner = (low, max(low, layers - high))
-        self.widen_boxes()
-        self.update_planes(low, planes - high, dt)
-        self.g2p(*inner, dt, extremes)
-        now = self.timers.add("g2p", now)
-        self.halo.finish(posted)
-        self.widen_boxes()
-        now = self.timers.add("halo", now)
-        if low or high:
-            self.update_planes(0, min(low, planes), dt)
-            self.update_planes(max(planes - high, 0), planes, dt)
-            self.g2p(0, min(inner[0], layers), dt, extremes)
-            self.g2p(inner[1], layers, dt, extremes)
+        low, high = self.parts.low, self.parts.high(layers)
+        if self.parts.inner:
+            self.update(low, planes - high, dt)
+            self.gather(self.parts.inner, dt, extremes)
+            now = self.timers.add("g2p", now)
+        now = self.finish_halo()
+        if self.parts.inner:
+            self.update(0, low, dt)
+            self.update(planes - high, planes, dt)
+        else:
+            self.update(0, planes, dt)
+        self.gather(self.parts.edges, dt, extremes)
         self.end_step(dt, extremes, now)
+
+    def finish_halo(self):
+        """Wait for the shared planes and complete their sums; returns the time."""
+        began = clock.perf_counter()
+        self.halo.wait()
+        began = self.timers.add("halo wait", began)
+        self.halo.finish()
+        return self.timers.add("halo", began)
 
     def end_step(self, dt, extremes, began):
         """Let the next steps know what this one has found."""
@@ -349,6 +379,7 @@ class Simulation:
             extremes[FAILED] = -self.failure["step"]
         extremes[REQUEST], self.request = self.request, 0
         extremes[GRADIENT] /= float(dt) ** 2
+        self.patch.travelled += self.steps.max()
         self.drive.finish(dt)
         self.control.start(self.step_count + 1, float(dt), extremes)
         self.timers.add("g2p", began)
@@ -378,8 +409,8 @@ class Simulation:
 
         Nothing has acted on them: what walls do is part of the change, so that it reaches the particles whole.
         """
-        self.scatter(0, self.last_layer - self.first_layer, dt, self.kernels.p2g_before)
-        self.halo.finish(self.halo.start())
+        self.scatter(dt, self.kernels.p2g_before)
+        self.finish_halo()
         self.take_averages(self.patch.before)
 
     def average_divergence(self, dt):
@@ -388,107 +419,112 @@ class Simulation:
         Nodes near walls need no images: what they hold is divided by the volume that they hold it of.
         """
         patch = self.patch
-        self.measure_divergence(self.last_layer - self.first_layer)
+        self.crew.share(self.measure_divergence, [*self.parts.edges, *self.parts.inner])
         patch.velocities[:] = patch.nodes
-        self.scatter(0, self.last_layer - self.first_layer, dt, self.kernels.p2g_divergence)
-        self.halo.finish(self.halo.start())
+        self.scatter(dt, self.kernels.p2g_divergence)
+        self.finish_halo()
         self.take_averages(patch.divergences)
         patch.nodes[:] = patch.velocities
 
     def take_averages(self, averages):
         """Divide the sums on the nodes by their mass, or volume, and keep what comes out in `averages`."""
         patch = self.patch
-        self.widen_boxes()
-        if self.wraps:
-            self.wrap_planes(patch.nodes)
-        self.kernels.divide_by_mass(patch.nodes, patch.boxes, 0, patch.planes)
+        for images in patch.images:
+            images.sum(patch.nodes, 0, patch.planes)
+        self.kernels.divide_by_mass(patch.nodes, 0, patch.quads)
         averages[:] = patch.nodes
 
-    def measure_divergence(self, layers):
-        kernels = self.kernels
+    def measure_divergence(self, layers, thread):
+        kernels, patch = self.kernels, self.patch
         for kernel, p in zip(kernels.measure_divergence, self.populations, strict=True):
             kernel(
-                p.reals, p.places, p.segments, p.layer_start, 0, layers, self.patch.nodes, kernels.scratch,
-                kernels.first_nodes, kernels.constants, self.inv_dx,
+                p.reals, p.places, p.segments, p.layer_start, *layers, patch.nodes, patch.spans, patch.row_start,
+                patch.first_quads, patch.corner, patch.rings[thread], kernels.scratch[thread],
+                kernels.first_nodes[thread], kernels.constants, self.inv_dx,
             )  # fmt: skip
 
-    def scatter(self, first, last, dt, p2g=None):
-        """Particles of layers first .. last - 1 (this rank's counting) to nodes; forgets what the nodes held.
+    def scatter(self, dt, p2g):
+        """Sum what particles give to the nodes, by the kernels `p2g` of each law, and send what others need of it on its way.
 
         Returns the number of runs of particles with the same stencil.
         """
-        runs = 0
-        patch, halo, kernels = self.patch, self.halo, self.kernels
-        kernels.clear(patch.nodes, patch.boxes)
-        patch.layer_boxes[:] = EMPTY_BOX
+        began = clock.perf_counter()
+        self.patch.nodes[:] = 0.0
+        runs = self.sum_layers(self.parts.edges, dt, p2g)
+        began = self.timers.add("p2g", began)
+        self.halo.start()
+        began = self.timers.add("halo", began)
+        runs += self.sum_layers(self.parts.inner, dt, p2g)
+        if len(self.apart):
+            self.patch.add_apart(self.kernels, self.apart)
+        self.timers.add("p2g", began)
+        return runs
+
+    def sum_layers(self, parts, dt, p2g):
+        return sum(self.crew.share(lambda part, thread: self.p2g(part, thread, dt, p2g), parts))
+
+    def p2g(self, layers, thread, dt, p2g):
+        """Particles of a range of this rank's layers to nodes. Returns the number of runs."""
+        runs, patch, kernels = 0, self.patch, self.kernels
+        first, last = layers
         for begin in range(first, max(last, first + 1), patch.chunk):
             end = min(begin + patch.chunk, last)
-            for number, (kernel, p) in enumerate(zip(p2g or kernels.p2g, self.populations, strict=True)):
+            for number, (kernel, p) in enumerate(zip(p2g, self.populations, strict=True)):
                 runs += kernel(
-                    p.reals, p.places, p.segments, p.layer_start, begin, end, self.kernel_tables[number], patch.windows,
-                    patch.layer_boxes, number == len(kernels.p2g) - 1, halo.targets, patch.nodes, patch.boxes,
-                    halo.unsummed, halo.slot_boxes, kernels.scratch, kernels.first_nodes, kernels.constants,
-                    self.real(dt), self.dx, self.inv_dx, self.first_layer, self.real(self.time), self.drive.factor,
-                    self.works,
+                    p.reals, p.places, p.segments, p.layer_start, begin, end, self.kernel_tables[number],
+                    patch.windows[thread], patch.corner, number == len(p2g) - 1, patch.placed, patch.placed_start,
+                    patch.slots, patch.nodes, patch.unsummed, kernels.scratch[thread], kernels.first_nodes[thread],
+                    kernels.constants, self.real(dt), self.dx, self.inv_dx, self.first_layer, self.real(self.time),
+                    self.drive.factor, self.works,
                 )  # fmt: skip
         return runs
 
-    def update_planes(self, first, last, dt):
-        """Momentum to velocity on planes first .. last - 1 of the patch, with gravity, damping, walls and regions."""
-        nodes, boxes, drive = self.patch.nodes, self.patch.boxes, self.drive
-        if self.wraps and first < last:
-            self.wrap_planes(nodes[first:last])
+    def update(self, first, last, dt):
+        """`update_planes` by all threads: walls couple nodes of a few planes, which one thread does."""
+        ranges = pieces(first, last, self.crew.threads, self.needs.stencil.window)
+        self.crew.share(lambda planes, thread: self.update_planes(planes, dt), ranges)
+
+    def update_planes(self, planes, dt):
+        """Momentum to velocity on a range of planes of the patch, with gravity, damping, walls and regions."""
+        patch, drive, (first, last) = self.patch, self.drive, planes
+        nodes, quads = patch.nodes, (patch.plane_start[first], patch.plane_start[last])
+        for images in patch.images:
+            images.sum(nodes, first, last)
         if drive.has_gravity:
-            self.kernels.add_gravity(nodes, boxes, first, last, drive.gravity_gain(dt))
+            self.kernels.add_gravity(nodes, *quads, drive.gravity_gain(dt))
         if drive.damping > 0.0:
-            self.kernels.damp(nodes, boxes, first, last, drive.kept(dt))
-        here = [(wall, wall.clipped(first, last)) for wall in self.walls]
-        for wall, box in here:
-            self.kernels.walls[wall.type](nodes, boxes, *box, *wall.step, wall.normal, wall.coefficient, wall.velocity)
-        self.kernels.divide_by_mass(nodes, boxes, first, last)
-        for wall, box in here:
-            self.kernels.images[wall.type](nodes, boxes, *box, *wall.step, wall.normal, wall.velocity)
+            self.kernels.damp(nodes, *quads, drive.kept(dt))
+        here = [(wall, wall.between(first, last)) for wall in self.walls]
+        for wall, part in here:
+            self.kernels.walls[wall.type](nodes, wall.met, *part, wall.normal, wall.coefficient, wall.velocity)
+        self.kernels.divide_by_mass(nodes, *quads)
+        for wall, part in here:
+            self.kernels.images[wall.type](nodes, wall.met, *part, wall.normal, wall.velocity)
         for region in drive.regions:
             region.impose(nodes, first, last)
 
-    def widen_boxes(self):
-        """Where an axis other than the slab axis repeats, what lies near one end also lies near the other."""
-        if not self.wraps:
-            return
-        boxes, (across, along) = self.patch.boxes, self.geometry.plane_shape
-        along -= self.geometry.row_padding
-        shared = self.needs.stencil.window - 1
-        for column, axis, extent in ((0, self.geometry.axes[1], across), (2, self.geometry.axes[2], along)):
-            if axis >= 0 and self.geometry.periodic[axis]:
-                held = boxes[:, column] < boxes[:, column + 1]
-                near = (boxes[:, column] < shared) | (boxes[:, column + 1] > self.geometry.cells[axis])
-                boxes[held & near, column], boxes[held & near, column + 1] = 0, extent
-
-    def wrap_planes(self, planes):
-        """Sum the images of a periodic axis other than the slab axis; both images then hold the total."""
-        stencil, (_, middle, row) = self.geometry.stencil, self.geometry.axes
-        shared = stencil.reach_low + stencil.reach_high
-        for array_axis, axis in ((1, middle), (2, row)):
-            if axis >= 0 and self.geometry.periodic[axis]:
-                cells = self.geometry.cells[axis]
-                before = (slice(None),) * array_axis
-                low, high = (planes[*before, first : first + shared] for first in (0, cells))
-                total = low + high
-                low[:], high[:] = total, total
-
-    def g2p(self, first, last, dt, extremes):
-        """Nodes to particles of layers first .. last - 1 (this rank's counting); maxima go into `extremes`."""
-        failure, kernels = np.zeros(3, np.int64), self.kernels
-        for number, (kernel, p) in enumerate(zip(self.kernels.g2p, self.populations, strict=True)):
-            found = kernel(
-                p.reals, p.places, p.segments, p.layer_start, first, last, self.kernel_tables[number], self.patch.nodes,
-                self.patch.before, self.blend, self.patch.divergences, self.first_layer, self.limits, self.ends,
-                kernels.scratch, kernels.first_nodes, kernels.constants, dt, self.dx, self.inv_dx, failure,
-            )  # fmt: skip
+    def gather(self, parts, dt, extremes):
+        """Nodes to particles of some layers; maxima go into `extremes`."""
+        for found in self.crew.share(lambda part, thread: self.g2p(part, thread, dt), parts):
             np.maximum(extremes[:FORCE], found, out=extremes[:FORCE])
+
+    def g2p(self, layers, thread, dt):
+        """Nodes to particles of a range of this rank's layers. Returns the maxima of what is reduced."""
+        patch, kernels, extremes = self.patch, self.kernels, np.zeros(FORCE)
+        for number, (kernel, p) in enumerate(zip(kernels.g2p, self.populations, strict=True)):
+            failure = np.zeros(3, np.int64)
+            *found, step = kernel(
+                p.reals, p.places, p.segments, p.layer_start, *layers, self.kernel_tables[number], patch.nodes,
+                patch.before, self.blend, patch.divergences, patch.spans, patch.row_start, patch.first_quads,
+                patch.corner, patch.rings[thread], self.first_layer, self.limits, self.ends, kernels.scratch[thread],
+                kernels.first_nodes[thread], kernels.constants, dt, self.dx, self.inv_dx, failure,
+            )  # fmt: skip
+            np.maximum(extremes, found, out=extremes)
+            self.steps[thread] = max(self.steps[thread], step)
             if failure[0]:
                 cause, block, lane = map(int, failure)
                 self.failed.append((number, block, lane, cause))
+        return extremes
 
     def regroup(self, edges=None, loose=None):
         """Migration, sorting and new cuts (if `edges` are given) in one event: every particle joins the layer it lies in.
@@ -515,7 +551,7 @@ class Simulation:
         """New edges if they are worth it, else None. Collective."""
         work = np.zeros(self.geometry.layers, np.int64)
         work[self.first_layer : self.last_layer] = layer_work(
-            self.populations, self.balance.works, self.patch.layer_boxes
+            self.populations, self.balance.works, self.patch.layer_quads
         )
         return self.balance.look(self.comm.sum(work), self.slabs.edges, self.step_count - self.control.regroup_step)
 

@@ -72,16 +72,15 @@ def bytes_of_ids(simulation):
 def seconds_of_ordered_sum(simulation, times=7):
     """What it takes to add each layer's planes to the nodes: P2G could add to them at once if the order did not matter."""
     fold = targets.scalar(simulation.real).compile(loops.fold_layer)
-    patch, halo = simulation.patch, simulation.halo
-    layers = simulation.last_layer - simulation.first_layer
-    simulation.scatter(0, layers, 0.0)
+    patch = simulation.patch
+    simulation.lay_out()
     found = []
     for _ in range(times):
         began = time.perf_counter()
-        for layer in range(layers):
+        for layer in range(patch.layers):
             fold(
-                patch.windows[0], patch.layer_boxes[layer], halo.targets[layer], patch.nodes, patch.boxes, halo.unsummed,
-                halo.slot_boxes,
+                patch.windows[0], 0, layer, patch.placed, patch.placed_start, patch.corner, patch.slots, patch.nodes,
+                patch.unsummed,
             )  # fmt: skip
         found.append(time.perf_counter() - began)
     return min(found)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pmpm.kernels import lane_loops, loops, scalar_loops, sorting, targets
+from pmpm.kernels import lane_loops, loops, scalar_loops, sorting, spans, targets
 from pmpm.kernels.lanes import WIDTH
 from pmpm.physics import boundary
 
@@ -18,11 +18,12 @@ WALLS = {
     "separate": (boundary.wall_separate, boundary.image_mirrored, False),
     "friction": (boundary.wall_friction, boundary.image_mirrored, False),
 }
-PER_SCENE = ("clear", "add_gravity", "divide_by_mass")
+PER_SCENE = ("add_gravity", "divide_by_mass")
 PER_OPTION = ("damp",)  # likewise, only where a scene asks for them
-PER_CUT = ("pack", "take_planes", "add_planes")  # called, hence compiled, only where there are cuts
+PER_CUT = ("add_planes", "add_slots")  # called, hence compiled, only where there are cuts
 PER_PLACES = ("loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
+LAYING_OUT = ("mark_cells", "find_spans", "place_spans")
 OUT_OF_BLOCKS = ("take_rows", "take_positions")  # called, hence compiled, only where a checkpoint is written
 LOOPS = {"lanes": lane_loops, "scalar": scalar_loops}
 CACHE_LINE = 64  # bytes
@@ -86,7 +87,7 @@ def wall_entries(needs):
 def shared_entries(gravity, damped, cuts):
     """Names of the entries without a law that a run calls: the others are never compiled."""
     per_scene = [name for name in PER_SCENE if gravity or name != "add_gravity"]
-    return [*per_scene, *(PER_OPTION if damped else ()), *(PER_CUT if cuts else ()), *PER_PLACES, *SORTING]
+    return [*per_scene, *(PER_OPTION if damped else ()), *(PER_CUT if cuts else ()), *PER_PLACES, *SORTING, *LAYING_OUT]
 
 
 def chosen_loops():
@@ -135,6 +136,9 @@ def scene_choices(needs):
         "MIDDLE": middle,
         "ROW": row,
         "NODES": stencil.nodes,
+        "WINDOW": stencil.window,
+        "BEFORE_RING": int(needs.scheme.blends),
+        "DIVERGENCE_RING": needs.scheme.blends + needs.f_bar,
         "MIDDLE_NODES": 1 if two else stencil.nodes,
         "INERTIA": stencil.inertia,
         "OFFSETS": stencil.offsets,
@@ -170,6 +174,7 @@ def scalar_choices(needs):
         "along_first": lane_loops.along_first_2 if two else lane_loops.along_first_3,
         "load_vector": scalar_loops.FIELD_TUPLES[needs.dim],
         "load_matrix": scalar_loops.FIELD_TUPLES[needs.dim**2],
+        "vector_at": scalar_loops.vector_at_2 if two else scalar_loops.vector_at_3,
         "along_axes": scalar_loops.along_axes_2 if two else scalar_loops.along_axes_3,
         "stencil_node": scalar_loops.stencil_node_2 if two else scalar_loops.stencil_node_3,
         "cells_to_metres": scalar_loops.cells_to_metres_2 if two else scalar_loops.cells_to_metres_3,
@@ -187,7 +192,7 @@ def lane_choices(needs):
     by_middle = {name: getattr(lane_loops, f"{name}_{across}") for name in ("add_slab", "flush_slab", "gather_slab")}
     by_dimension = {
         name: getattr(lane_loops, f"{name}_{needs.dim}")
-        for name in ("store_column", "store_constant", "vector", "matrix", "position", "along_first")
+        for name in ("store_column", "store_constant", "vector", "matrix", "position", "along_first", "largest_part")
     }
     return {
         "LINE": CACHE_LINE // np.dtype(needs.precision).itemsize,
@@ -203,6 +208,7 @@ def lane_choices(needs):
         "matrix_of": by_dimension["matrix"],
         "position_of": by_dimension["position"],
         "along_first": by_dimension["along_first"],
+        "largest_part": by_dimension["largest_part"],
         **by_nodes,
         **by_middle,
     }
@@ -226,7 +232,7 @@ def law_choices(law, layout, parameter_count, tuples, real):
     }
 
 
-def build(needs, layouts, parameter_counts, kind):
+def build(needs, layouts, parameter_counts, kind, threads=1):
     """Kernels for these needs, not compiled yet: numba compiles at the first call. Layouts and counts are per law; `kind` is
     one of LOOPS.
     """
@@ -264,6 +270,7 @@ def build(needs, layouts, parameter_counts, kind):
     shared |= {name: for_places.entry(getattr(sorting, name)) for name in PER_PLACES}
     for_orders = targets.scalar(np.float64)
     shared |= {name: for_orders.entry(getattr(sorting, name)) for name in (*SORTING, *OUT_OF_BLOCKS)}
+    shared |= {name: for_orders.entry(getattr(spans, name)) for name in LAYING_OUT}
     return Kernels(
         tuple(p2g),
         tuple(g2p),
@@ -274,7 +281,7 @@ def build(needs, layouts, parameter_counts, kind):
         shared,
         walls,
         images,
-        aligned(lane_loops.SCRATCH, real),
-        aligned(WIDTH, np.int32),
+        aligned(threads * lane_loops.SCRATCH, real).reshape(threads, -1),
+        aligned(threads * WIDTH, np.int32).reshape(threads, -1),
         row_constants(needs.stencil, real),
     )

@@ -11,8 +11,6 @@ on weight gradients, is w (M_s d_s + M_m d_m + M_r d_r + m v) + F . grad w. With
   Y = w_s (w_r M_m),   row += w_m X + w_m d_m Y [+ w'_m w_s (w_r F_m)].
 """
 
-import numpy as np
-
 from pmpm.kernels.lanes import (
     any_of,
     flush_denormals,
@@ -24,7 +22,6 @@ from pmpm.kernels.lanes import (
     load_transposed,
     prefetch,
     restore_denormals,
-    smallest_lane,
     store,
     store_quads,
     sum_nodes,
@@ -53,6 +50,7 @@ from pmpm.kernels.loops import (
     no_force,
     node_of_segment,
     place_at,
+    unfold,
 )
 from pmpm.physics import stability, transfer
 from pmpm.physics import tensors2 as la
@@ -63,7 +61,8 @@ from pmpm.physics.words import floor
 
 real = integer = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
-NODES, INERTIA = 3, 4.0
+NODES, WINDOW, INERTIA = 3, 5, 4.0
+BEFORE_RING = DIVERGENCE_RING = 0
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 # What the transfer does. AFFINE: particles have an affine field; BY_INERTIA: C from its sums, else from the gradient; MLS:
 # forces without weight gradients; BLENDS: a part of the particle's own velocity is kept; IMPULSE: P2G adds what changes
@@ -91,7 +90,6 @@ SCRATCH = WORKS + 16
 # Of the constants of a row: distances of its nodes, origins, then the coefficients of weights and slopes.
 ROW_DISTANCE, ROW_ORIGIN, ROW_WEIGHT, ROW_SLOPE = 0, 16, 32, 96
 CONSTANTS = 160
-FARTHEST_NODE, NEAREST_NODE = np.int32(1 << 30), np.int32(-(1 << 30))
 
 
 # ---- fields of a block ---------------------------------------------------------------------------------------------------
@@ -191,28 +189,24 @@ def place_along(table, column, g):
         put(table, column + SLAB_D, slopes(g))
 
 
-def place_block(places, o, table, first_nodes, base_middle, base_row, plane, row):
-    """Stencils of 16 particles. Returns the first node along middle and row, in the counting of the patch.
-
-    first_nodes[lane]: where the stencil begins, in reals from the first plane of the layer's window.
-    """
+def place_block(places, o, table, first_nodes, turn, base_middle, base_row, plane, row):
+    """Stencils of 16 particles. first_nodes[lane]: where the stencil begins in a window, or in a ring whose plane number `turn`
+    is the first that the layer reaches, in reals; bases count from its corner."""
     place = load(places, o + 16 * SLAB)
     centre = centre_of(place)
     place_along(table, 0, offset_from(place, centre))
-    first = (to_int32(centre) + PADDING) * plane
+    first = to_int32(centre) + (turn + PADDING)
+    first = where(first < WINDOW, first, first - WINDOW) * plane
     place = load(places, o + 16 * ROW)
     centre = centre_of(place)
     store(table, ROW_G, offset_from(place, centre))
-    first_row = to_int32(centre) + (base_row + PADDING)
-    first_middle = first_row
+    first = first + (to_int32(centre) + (base_row + PADDING))
     if DIMENSIONS == 3:
         place = load(places, o + 16 * MIDDLE)
         centre = centre_of(place)
         place_along(table, MIDDLE_W, offset_from(place, centre))
-        first_middle = to_int32(centre) + (base_middle + PADDING)
-        first = first + first_middle * row
-    store(first_nodes, 0, (first + first_row) * 4)
-    return first_middle, first_row
+        first = first + (to_int32(centre) + (base_middle + PADDING)) * row
+    store(first_nodes, 0, first * 4)
 
 
 def row_weights_2(constants, at, t):
@@ -504,9 +498,8 @@ def momentum_block(
 
 
 def p2g(
-    reals, places, segments, layer_start, first_layer, last_layer, table, windows, boxes, folds, targets, nodes,
-    plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx, layer_node, time, load_factor,
-    works,
+    reals, places, segments, layer_start, first_layer, last_layer, table, windows, corner, folds, placed, placed_start, slots,
+    nodes, unsummed, scratch, first_nodes, constants, dt, dx, inv_dx, layer_node, time, load_factor, works,
 ):  # fmt: skip
     """See loops.py for what the arguments are."""
     before = flush_denormals()
@@ -515,10 +508,8 @@ def p2g(
     row, plane = windows.shape[3] * 4, windows.shape[2] * windows.shape[3] * 4
     runs = 0
     for layer in range(first_layer, last_layer):
-        place_of_window = (layer - first_layer) % windows.shape[0]
-        window = windows.reshape(-1)[place_of_window * window_size : (place_of_window + 1) * window_size]
-        lowest_middle = lowest_row = in_all_lanes(FARTHEST_NODE)
-        highest_middle = highest_row = in_all_lanes(NEAREST_NODE)
+        number = (layer - first_layer) % windows.shape[0]
+        window = windows.reshape(-1)[number * window_size : (number + 1) * window_size]
         rows, held = empty_stencil(), NOWHERE
         if DRIVEN:
             store(scratch, WORKS, in_all_lanes(real(0.0)))
@@ -528,12 +519,10 @@ def p2g(
             base = node_of_segment(layer_node + layer, segments[s, 3], segments[s, 4])
             while left > 0:
                 o = block * (16 * FIELDS)
-                m, r = place_block(
-                    where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], windows.shape[2] * windows.shape[3],
-                    windows.shape[3],
+                place_block(
+                    where_from, o, scratch, first_nodes, 0, segments[s, 3] - corner[0], segments[s, 4] - corner[1],
+                    windows.shape[2] * windows.shape[3], windows.shape[3],
                 )  # fmt: skip
-                lowest_middle, highest_middle = min(lowest_middle, m), max(highest_middle, m)
-                lowest_row, highest_row = min(lowest_row, r), max(highest_row, r)
                 momentum_block(
                     values, o, scratch, mass, volume0, params, dt, dx, inv_dx, where_from, base, time, load_factor,
                     min(left, 16),
@@ -552,18 +541,11 @@ def p2g(
                 left -= 16
         if held != NOWHERE:
             flush(window, held, plane, row, rows)
-            if DIMENSIONS == 3:
-                boxes[layer, 0] = min(boxes[layer, 0], smallest_lane(lowest_middle))
-                boxes[layer, 1] = max(boxes[layer, 1], largest_lane(highest_middle) + NODES)
-            else:
-                boxes[layer, 0], boxes[layer, 1] = 0, 1
-            boxes[layer, 2] = min(boxes[layer, 2], smallest_lane(lowest_row))
-            boxes[layer, 3] = max(boxes[layer, 3], largest_lane(highest_row) + 4)
         if DRIVEN:
             for lane in range(16):
                 works[layer] += scratch[WORKS + lane]
         if folds:
-            fold_layer(windows[place_of_window], boxes[layer], targets[layer], nodes, plane_boxes, unsummed, slot_boxes)
+            fold_layer(windows, number, layer, placed, placed_start, corner, slots, nodes, unsummed)
     restore_denormals(before)
     return runs
 
@@ -721,23 +703,42 @@ def size_of(place):
     return where(place < 0, -place, place)
 
 
+def largest_part_2(v):
+    """The largest component of a vector, by size."""
+    return max(abs(v[0]), abs(v[1]))
+
+
+def largest_part_3(v):
+    return max(max(abs(v[0]), abs(v[1])), abs(v[2]))
+
+
+largest_part = largest_part_2
+
+
 def g2p(
     reals, places, segments, layer_start, first_layer, last_layer, table, nodes, nodes_before, blend, nodes_divergence,
-    layer_node, limits, ends, scratch, first_nodes, constants, dt, dx, inv_dx, failure,
+    spans, row_start, first_quads, corner, rings, layer_node, limits, ends, scratch, first_nodes, constants, dt, dx, inv_dx,
+    failure,
 ):  # fmt: skip
     """See loops.py for what the arguments are and what is returned."""
     before = flush_denormals()
-    values, where_from, grid, grid_before = (
-        reals.reshape(-1),
-        places.reshape(-1),
-        nodes.reshape(-1),
-        nodes_before.reshape(-1),
-    )
-    grid_divergence = nodes_divergence.reshape(-1)
-    row, plane = nodes.shape[2] * 4, nodes.shape[1] * nodes.shape[2] * 4
-    speeds = waves = strains = in_all_lanes(real(0.0))
+    values, where_from = reals.reshape(-1), places.reshape(-1)
+    ring, ring_before, ring_divergence = rings[0], rings[BEFORE_RING], rings[DIVERGENCE_RING]
+    grid, grid_before, grid_divergence = ring.reshape(-1), ring_before.reshape(-1), ring_divergence.reshape(-1)
+    row, plane = ring.shape[2] * 4, ring.shape[1] * ring.shape[2] * 4
+    unfolded = first_layer
+    speeds = waves = strains = steps = in_all_lanes(real(0.0))
     drifts = in_all_lanes(integer(0))
     for layer in range(first_layer, last_layer):
+        if layer_start[layer] == layer_start[layer + 1]:
+            continue
+        for number in range(max(unfolded, layer), layer + WINDOW):
+            unfold(nodes, number, spans, row_start, first_quads, corner, ring)
+            if BLENDS:
+                unfold(nodes_before, number, spans, row_start, first_quads, corner, ring_before)
+            if F_BAR:
+                unfold(nodes_divergence, number, spans, row_start, first_quads, corner, ring_divergence)
+        unfolded = layer + WINDOW
         low_slab = place_at(limits[SLAB, 0] - 64 * (layer_node + layer))
         high_slab = place_at(limits[SLAB, 1] - 64 * (layer_node + layer))
         for s in range(layer_start[layer], layer_start[layer + 1]):
@@ -754,13 +755,13 @@ def g2p(
                 o = block * (16 * FIELDS)
                 count = min(left, 16)
                 place_block(
-                    where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], nodes.shape[1] * nodes.shape[2],
-                    nodes.shape[2],
+                    where_from, o, scratch, first_nodes, layer % WINDOW, segments[s, 3] - corner[0],
+                    segments[s, 4] - corner[1], ring.shape[1] * ring.shape[2], ring.shape[2],
                 )  # fmt: skip
                 for lane in range(count):
                     for line in range(LINES):
                         prefetch(values, o + AHEAD * 16 * FIELDS + (lane * LINES + line) * LINE, True)
-                    first = layer * plane + first_nodes[lane]
+                    first = first_nodes[lane]
                     gather(grid, first, plane, row, scratch, constants, lane)
                     if BLENDS:
                         gather_velocity(grid_before, first, plane, row, scratch, constants, lane, BEFORE)
@@ -801,6 +802,7 @@ def g2p(
                     put(values, o + 16 * C_FIELD, C)
                 put(values, o + 16 * STATE_FIELD, state)
 
+                steps = max(steps, where(live, largest_part(step), real(0.0)))
                 steady = la.within(step, 1.0)
                 slab = moved(where_from, o, SLAB, step)
                 along_row = moved(where_from, o, ROW, step)
@@ -843,28 +845,37 @@ def g2p(
                 block += 1
                 left -= 16
     restore_denormals(before)
-    return largest_lane(speeds), largest_lane(waves), real(largest_lane(drifts)) * UNIT, largest_lane(strains)
+    drift = real(largest_lane(drifts)) * UNIT
+    return largest_lane(speeds), largest_lane(waves), drift, largest_lane(strains), largest_lane(steps)
 
 
 def measure_divergence(
-    reals, places, segments, layer_start, first_layer, last_layer, nodes, scratch, first_nodes, constants, inv_dx,
+    reals, places, segments, layer_start, first_layer, last_layer, nodes, spans, row_start, first_quads, corner, rings,
+    scratch, first_nodes, constants, inv_dx,
 ):  # fmt: skip
     """Let particles of some layers keep the divergence of the velocity."""
     before = flush_denormals()
-    values, where_from, grid = reals.reshape(-1), places.reshape(-1), nodes.reshape(-1)
-    row, plane = nodes.shape[2] * 4, nodes.shape[1] * nodes.shape[2] * 4
+    ring = rings[0]
+    values, where_from, grid = reals.reshape(-1), places.reshape(-1), ring.reshape(-1)
+    row, plane = ring.shape[2] * 4, ring.shape[1] * ring.shape[2] * 4
+    unfolded = first_layer
     for layer in range(first_layer, last_layer):
+        if layer_start[layer] == layer_start[layer + 1]:
+            continue
+        for number in range(max(unfolded, layer), layer + WINDOW):
+            unfold(nodes, number, spans, row_start, first_quads, corner, ring)
+        unfolded = layer + WINDOW
         for s in range(layer_start[layer], layer_start[layer + 1]):
             block, left = segments[s, 0], segments[s, 1]
             while left > 0:
                 o = block * (16 * FIELDS)
                 count = min(left, 16)
                 place_block(
-                    where_from, o, scratch, first_nodes, segments[s, 3], segments[s, 4], nodes.shape[1] * nodes.shape[2],
-                    nodes.shape[2],
+                    where_from, o, scratch, first_nodes, layer % WINDOW, segments[s, 3] - corner[0],
+                    segments[s, 4] - corner[1], ring.shape[1] * ring.shape[2], ring.shape[2],
                 )  # fmt: skip
                 for lane in range(count):
-                    gather(grid, layer * plane + first_nodes[lane], plane, row, scratch, constants, lane)
+                    gather(grid, first_nodes[lane], plane, row, scratch, constants, lane)
                 for lane in range(count, 16):
                     store(scratch, GRADIENTS + 16 * lane, in_all_lanes(real(0.0)))
                 L = matrix_of(load_transposed(scratch, GRADIENTS))

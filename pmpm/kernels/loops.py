@@ -5,23 +5,27 @@ as integers. `segments[s]` = (first block, particles, row of `table`, middle and
 one layer and one body whose places count from one base; along the slab axis they count from the layer. The last block of a
 segment is filled up with lanes that nothing adds or counts.
 
-The grid is `nodes[plane, middle, row, (p_x, p_y, p_z, mass)]`. A box (first and last + 1 along middle and row) says where a
-plane holds anything; outside of it nodes are zero and no loop goes there, but for the rest of a row of four nodes: rows are
-long enough for it.
+The grid is `nodes[node, (p_x, p_y, p_z, mass)]`: the nodes that there are, in quads, four neighbours of a row, plane after
+plane, row after row; see kernels.spans and state.grid. `placed[n]` = (middle, first quad, last quad + 1 of a row, then the
+quad of `nodes` where it lies on each plane that the layer reaches) are the nodes of layers, `placed_start` the first of each.
 
 P2G adds the particles of layers first_layer .. last_layer - 1 (counted from this rank's first), one after another, to the
-planes each layer can touch, `windows[(layer - first_layer) % number of windows]`, and widens `boxes[layer]`. The law that
-comes last `folds`: it adds each layer's planes to the nodes, layer after layer, and clears them for the next use. P2G returns
-the number of runs of particles with the same stencil. Of a body force it leaves max |b|^2 in `scratch`, in FORCES and the 15
-reals behind it; what body force and loads do to the particles of a layer, in J, is added to `works[layer]`.
+planes each layer can touch, `windows[(layer - first_layer) % number of windows]`, which begin at row `corner[0]` and node
+`corner[1]` of it. The law that comes last `folds`: it adds each layer's planes to the nodes, layer after layer, and clears them
+for the next use. Where slots[layer, plane of the window] >= 0 they are kept apart instead, in `unsummed` from that quad on. P2G
+returns the number of runs of particles with the same stencil. Of a body force it leaves max |b|^2 in `scratch`, in FORCES and
+the 15 reals behind it; what body force and loads do to the particles of a layer, in J, is added to `works[layer]`.
 
 `layer_node` is the global number of this rank's first layer, `time` that of the step's beginning, `load_factor` the part of
 the loads that acts. Schemes that blend velocities run P2G twice: without impulses first, for `nodes_before`.
 
-G2P gathers velocity and its gradient, advances state and position of its layers. `limits[axis]`, in 64ths of a cell, where
+G2P gathers velocity and its gradient, advances state and position of its layers. It unfolds plane after plane into a `ring`,
+as wide as the windows, whose first planes stand behind its last ones again, so that a stencil's planes follow each other.
+`limits[axis]`, in 64ths of a cell, where
 particles may be, `ends[axis]` where a periodic axis repeats. The first particle that fails is written to `failure` (cause,
-block, lane) and keeps its position. G2P returns the maxima (speed^2, wave speed^2, drift in cells, |dt grad v|^2): drift is how
-far a particle is from the middle of its layer, or half a cell plus what it is beyond the end of a periodic axis.
+block, lane) and keeps its position. G2P returns the maxima (speed^2, wave speed^2, drift in cells, |dt grad v|^2,
+the step along any axis in cells): drift is how far a particle is from the middle of its layer, or half a cell plus what it is
+beyond the end of a periodic axis.
 """
 
 from numba.np.unsafe.ndarray import to_fixed_tuple
@@ -41,9 +45,9 @@ OVERFLOW = 125  # cells from the base that fit into the integers of float32 plac
 CAUSE_POSITION, CAUSE_STATE, CAUSE_LEFT = 1, 2, 3  # why a particle stops the run
 NOWHERE = -1
 FORCES, WORKS = 1440, 1456  # of `scratch`, behind the columns that the fast loops work in
-EMPTY_BOX = (1 << 30, 0, 1 << 30, 0)
 wall, image, TWO_SIDED = boundary.wall_stick, boundary.image_reversed, True
 BEYOND = 1
+WINDOW, NODES = 5, 3
 
 
 def no_force(x, X, t):
@@ -90,139 +94,127 @@ def load_parameters(table, row):
 # ---- sums of layers ------------------------------------------------------------------------------------------------------
 
 
-def clear(nodes, boxes):
-    """Nodes to zero, boxes to empty."""
-    for i in range(nodes.shape[0]):
-        for j in range(boxes[i, 0], boxes[i, 1]):
-            row = nodes[i, j].reshape(-1)
-            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3], 16):
-                store(row, q, 0.0)
-        empty(boxes[i])
-
-
-def empty(box):
-    box[0], box[1], box[2], box[3] = EMPTY_BOX[0], EMPTY_BOX[1], EMPTY_BOX[2], EMPTY_BOX[3]
-
-
-def widen(box, other):
-    box[0], box[1] = min(box[0], other[0]), max(box[1], other[1])
-    box[2], box[3] = min(box[2], other[2]), max(box[3], other[3])
-
-
-def fold_layer(window, box, targets, nodes, boxes, unsummed, slot_boxes):
-    """Add a layer's planes to the nodes and clear them.
-
-    targets[k] >= 0 is the plane of `nodes`; below zero, -1 - slot is a plane kept unsummed for the rank that sums before
-    this one at a cut.
-    """
-    for k in range(window.shape[0]):
-        plane, slot = targets[k], -1 - targets[k]
-        if plane >= 0:
-            widen(boxes[plane], box)
-        else:
-            empty(slot_boxes[slot])
-            widen(slot_boxes[slot], box)
-        for j in range(box[0], box[1]):
-            gained = window[k, j].reshape(-1)
-            if plane >= 0:
-                row = nodes[plane, j].reshape(-1)
-                for q in range(4 * box[2], 4 * box[3], 16):
-                    store(row, q, load(row, q) + load(gained, q))
-                    store(gained, q, 0.0)
+def fold_layer(windows, number, layer, placed, placed_start, corner, slots, nodes, unsummed):
+    """Add a layer's planes, window `number` of all, to the nodes, or keep them apart, and clear them."""
+    reach, middles, row = windows.shape[1], windows.shape[2], windows.shape[3]
+    window, sums, apart = windows.reshape(-1), nodes.reshape(-1), unsummed.reshape(-1)
+    for k in range(reach):
+        slot = 16 * slots[layer, k]
+        for n in range(placed_start[layer], placed_start[layer + 1]):
+            first, size = placed[n, 1], 16 * (placed[n, 2] - placed[n, 1])
+            o = 4 * (((number * reach + k) * middles + placed[n, 0] - corner[0]) * row + 4 * first - corner[1])
+            if slot < 0:
+                to = 16 * placed[n, 3 + k]
+                for q in range(0, size, 16):
+                    store(sums, to + q, load(sums, to + q) + load(window, o + q))
+                    store(window, o + q, 0.0)
             else:
-                row = unsummed[slot, j].reshape(-1)
-                for q in range(4 * box[2], 4 * box[3], 16):
-                    store(row, q, load(gained, q))
-                    store(gained, q, 0.0)
+                for q in range(0, size, 16):
+                    store(apart, slot + q, load(window, o + q))
+                    store(window, o + q, 0.0)
+                slot += size
 
 
-def pack(planes, boxes, box_message, message):
-    """Copy what the boxes of some planes hold into a message; returns how many reals that is."""
-    place = 0
-    for i in range(planes.shape[0]):
-        for q in range(4):
-            box_message[i, q] = boxes[i, q]
-        for j in range(boxes[i, 0], boxes[i, 1]):
-            row = planes[i, j].reshape(-1)
-            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3], 16):
-                store(message, place, load(row, q))
-                place += 16
-    return place
-
-
-def take_planes(nodes, boxes, first, box_message, message):
-    """Put the planes of a message in the place of those from `first` on, which hold nothing."""
-    place = 0
-    for i in range(box_message.shape[0]):
-        widen(boxes[first + i], box_message[i])
-        for j in range(box_message[i, 0], box_message[i, 1]):
-            row = nodes[first + i, j].reshape(-1)
-            for q in range(4 * box_message[i, 2], 4 * box_message[i, 3], 16):
-                store(row, q, load(message, place))
-                place += 16
-
-
-def add_planes(nodes, boxes, planes, box_message, message):
-    """Add the planes of a message, one after another, to the planes of these numbers."""
+def add_slots(nodes, unsummed, placed, placed_start, slots, pairs):
+    """Add what is kept apart of (layer, plane of its window), one after another, to the nodes."""
     before = flush_denormals()
-    place = 0
-    for i in range(box_message.shape[0]):
-        widen(boxes[planes[i]], box_message[i])
-        for j in range(box_message[i, 0], box_message[i, 1]):
-            row = nodes[planes[i], j].reshape(-1)
-            for q in range(4 * box_message[i, 2], 4 * box_message[i, 3], 16):
-                store(row, q, load(row, q) + load(message, place))
-                place += 16
+    sums, apart = nodes.reshape(-1), unsummed.reshape(-1)
+    for pair in range(pairs.shape[0]):
+        layer, k = pairs[pair, 0], pairs[pair, 1]
+        slot = 16 * slots[layer, k]
+        for n in range(placed_start[layer], placed_start[layer + 1]):
+            to, size = 16 * placed[n, 3 + k], 16 * (placed[n, 2] - placed[n, 1])
+            for q in range(0, size, 16):
+                store(sums, to + q, load(sums, to + q) + load(apart, slot + q))
+            slot += size
     restore_denormals(before)
+
+
+def add_planes(nodes, spans, row_start, first_quads, middles, planes, counts, message_spans, reals, first_real):
+    """Add the planes of a message, one after another, to the planes of these numbers: what lies on nodes that there are.
+
+    Of each plane the message tells how many spans it has (counts) and each span's (middle, first quad, last quad + 1); their
+    nodes begin at first_real.
+    """
+    before = flush_denormals()
+    sums = nodes.reshape(-1)
+    place, span = first_real, 0
+    for i in range(planes.shape[0]):
+        for _ in range(counts[i]):
+            row, first, last = (
+                planes[i] * middles + message_spans[span],
+                message_spans[span + 1],
+                message_spans[span + 2],
+            )
+            for t in range(row_start[row], row_start[row + 1]):
+                begin, end = max(first, spans[t, 1]), min(last, spans[t, 2])
+                to, o = 16 * (first_quads[t] + begin - spans[t, 1]), place + 16 * (begin - first)
+                for q in range(0, 16 * (end - begin), 16):
+                    store(sums, to + q, load(sums, to + q) + load(reals, o + q))
+            place += 16 * (last - first)
+            span += 3
+    restore_denormals(before)
+
+
+def unfold_plane(nodes, plane, spans, row_start, first_quads, corner, ring, at):
+    """Copy the nodes of a plane to where a ring's plane number `at` is, for G2P."""
+    values, out = nodes.reshape(-1), ring.reshape(-1)
+    middles, row = ring.shape[1], ring.shape[2]
+    rows = corner[2]
+    for t in range(row_start[plane * rows], row_start[(plane + 1) * rows]):
+        o = 4 * ((at * middles + spans[t, 0] - plane * rows - corner[0]) * row + 4 * spans[t, 1] - corner[1])
+        frm = 16 * first_quads[t]
+        for q in range(0, 16 * (spans[t, 2] - spans[t, 1]), 16):
+            store(out, o + q, load(values, frm + q))
+
+
+def unfold(nodes, plane, spans, row_start, first_quads, corner, ring):
+    """Bring a plane into the ring."""
+    at = plane % WINDOW
+    unfold_plane(nodes, plane, spans, row_start, first_quads, corner, ring, at)
+    if at < NODES - 1:
+        unfold_plane(nodes, plane, spans, row_start, first_quads, corner, ring, at + WINDOW)
 
 
 # ---- nodes ---------------------------------------------------------------------------------------------------------------
 
 
-def add_gravity(nodes, boxes, first_plane, last_plane, velocity_gain):
-    """Momentum gains mass times dt times gravity, given for a row of four nodes."""
+def add_gravity(nodes, first, last, velocity_gain):
+    """Momentum gains mass times dt times gravity, given for a quad, on quads first .. last - 1."""
     before = flush_denormals()
-    gain = load(velocity_gain, 0)
-    for i in range(first_plane, last_plane):
-        for j in range(boxes[i, 0], boxes[i, 1]):
-            row = nodes[i, j].reshape(-1)
-            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3], 16):
-                four = load(row, q)
-                store(row, q, four + repeat_mass(four) * gain)
+    values, gain = nodes.reshape(-1), load(velocity_gain, 0)
+    for q in range(16 * first, 16 * last, 16):
+        four = load(values, q)
+        store(values, q, four + repeat_mass(four) * gain)
     restore_denormals(before)
 
 
-def damp(nodes, boxes, first_plane, last_plane, kept):
-    """Momentum loses all but the part `kept`, given for a row of four nodes; mass stays."""
+def damp(nodes, first, last, kept):
+    """Momentum loses all but the part `kept`, given for a quad; mass stays."""
     before = flush_denormals()
-    factor = load(kept, 0)
-    for i in range(first_plane, last_plane):
-        for j in range(boxes[i, 0], boxes[i, 1]):
-            row = nodes[i, j].reshape(-1)
-            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3], 16):
-                store(row, q, load(row, q) * factor)
+    values, factor = nodes.reshape(-1), load(kept, 0)
+    for q in range(16 * first, 16 * last, 16):
+        store(values, q, load(values, q) * factor)
     restore_denormals(before)
 
 
-def divide_by_mass(nodes, boxes, first_plane, last_plane):
+def divide_by_mass(nodes, first, last):
     """Momentum -> velocity; nodes without mass are at rest."""
     before = flush_denormals()
-    for i in range(first_plane, last_plane):
-        for j in range(boxes[i, 0], boxes[i, 1]):
-            row = nodes[i, j].reshape(-1)
-            for q in range(4 * boxes[i, 2], 4 * boxes[i, 3], 16):
-                four = load(row, q)
-                mass = repeat_mass(four)
-                store(row, q, with_mass_of(four, where(mass > 0.0, four / mass, 0.0)))
+    values = nodes.reshape(-1)
+    for q in range(16 * first, 16 * last, 16):
+        four = load(values, q)
+        mass = repeat_mass(four)
+        store(values, q, with_mass_of(four, where(mass > 0.0, four / mass, 0.0)))
     restore_denormals(before)
 
 
-def momentum_2(nodes, i, j, k):
-    return (nodes[i, j, k, 0], nodes[i, j, k, 1])
+def momentum_2(nodes, n):
+    return (nodes[n, 0], nodes[n, 1])
 
 
-def momentum_3(nodes, i, j, k):
-    return (nodes[i, j, k, 0], nodes[i, j, k, 1], nodes[i, j, k, 2])
+def momentum_3(nodes, n):
+    return (nodes[n, 0], nodes[n, 1], nodes[n, 2])
 
 
 def normal_2(normal):
@@ -236,13 +228,14 @@ def normal_3(normal):
 momentum_at, load_normal = momentum_2, normal_2
 
 
-def put_vector(nodes, i, j, k, v):
+def put_vector(nodes, n, v):
     for q in range(DIMENSIONS):
-        nodes[i, j, k, q] = v[q]
+        nodes[n, q] = v[q]
 
 
-def apply_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, coefficient, velocity):
-    """One face, on momenta: nodes i0 .. i1 - 1, ... are those just beyond it, one step (di, dj, dk) leads to the node on it.
+def apply_wall(nodes, met, first, last, normal, coefficient, velocity):
+    """One face, on momenta. met[n]: a node on it, then for each of BEYOND nodes the one beyond and its image inside; of these
+    first .. last - 1.
 
     A particle that has passed the wall by less than half a cell reaches BEYOND nodes beyond it. The rules hold for what moves
     relative to the wall. A wall that may be left mirrors only where material presses on it and the wall as a whole pushes;
@@ -251,55 +244,48 @@ def apply_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, coeffic
     before = flush_denormals()
     n, u = load_normal(normal), load_normal(velocity)
     none = real(0.0)
-    for i in range(i0, i1):
-        box = boxes[i + di]
-        for j in range(max(j0, box[0] - dj), min(j1, box[1] - dj)):
-            for k in range(max(k0, box[2] - dk), min(k1, box[3] - dk)):
-                mass_on = nodes[i + di, j + dj, k + dk, 3]
-                on = la.add_scaled_vector(momentum_at(nodes, i + di, j + dj, k + dk), -mass_on, u)
-                impulse = none
-                for far in range(BEYOND):
-                    ib, jb, kb = i - far * di, j - far * dj, k - far * dk
-                    i2, j2, k2 = i + (2 + far) * di, j + (2 + far) * dj, k + (2 + far) * dk
-                    mass_beyond, mass_inner = nodes[ib, jb, kb, 3], nodes[i2, j2, k2, 3]
-                    if mass_beyond > 0.0:
-                        past = la.add_scaled_vector(momentum_at(nodes, ib, jb, kb), -mass_beyond, u)
-                        inner = la.add_scaled_vector(momentum_at(nodes, i2, j2, k2), -mass_inner, u)
-                        impulse += boundary.mirror_impulse(past, mass_beyond, inner, mass_inner, n)
-                normal_on = la.dot(on, n)
-                holds = TWO_SIDED or (normal_on < 0.0 and normal_on + impulse <= 0.0)
-                pressed = -impulse if holds else none
-                for far in range(BEYOND):
-                    ib, jb, kb = i - far * di, j - far * dj, k - far * dk
-                    i2, j2, k2 = i + (2 + far) * di, j + (2 + far) * dj, k + (2 + far) * dk
-                    mass_beyond, mass_inner = nodes[ib, jb, kb, 3], nodes[i2, j2, k2, 3]
-                    if mass_beyond > 0.0:
-                        past = la.add_scaled_vector(momentum_at(nodes, ib, jb, kb), -mass_beyond, u)
-                        if holds:
-                            inner = la.add_scaled_vector(momentum_at(nodes, i2, j2, k2), -mass_inner, u)
-                            mirrored = la.add_scaled_vector(inner, 1.0, image(past, n))
-                            mass_inner = mass_inner + mass_beyond
-                            put_vector(nodes, i2, j2, k2, la.add_scaled_vector(mirrored, mass_inner, u))
-                            nodes[i2, j2, k2, 3] = mass_inner
-                            put_vector(nodes, ib, jb, kb, la.scale_vector(none, past))
-                            nodes[ib, jb, kb, 3] = none
-                        else:
-                            past = wall(past, n, coefficient, none)
-                            put_vector(nodes, ib, jb, kb, la.add_scaled_vector(past, mass_beyond, u))
-                on = wall(on, n, coefficient, pressed)
-                put_vector(nodes, i + di, j + dj, k + dk, la.add_scaled_vector(on, mass_on, u))
+    for i in range(first, last):
+        at = met[i, 0]
+        mass_on = nodes[at, 3]
+        on = la.add_scaled_vector(momentum_at(nodes, at), -mass_on, u)
+        impulse = none
+        for far in range(BEYOND):
+            beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
+            mass_beyond, mass_inner = nodes[beyond, 3], nodes[inside, 3]
+            if mass_beyond > 0.0:
+                past = la.add_scaled_vector(momentum_at(nodes, beyond), -mass_beyond, u)
+                inner = la.add_scaled_vector(momentum_at(nodes, inside), -mass_inner, u)
+                impulse += boundary.mirror_impulse(past, mass_beyond, inner, mass_inner, n)
+        normal_on = la.dot(on, n)
+        holds = TWO_SIDED or (normal_on < 0.0 and normal_on + impulse <= 0.0)
+        pressed = -impulse if holds else none
+        for far in range(BEYOND):
+            beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
+            mass_beyond, mass_inner = nodes[beyond, 3], nodes[inside, 3]
+            if mass_beyond > 0.0:
+                past = la.add_scaled_vector(momentum_at(nodes, beyond), -mass_beyond, u)
+                if holds:
+                    inner = la.add_scaled_vector(momentum_at(nodes, inside), -mass_inner, u)
+                    mirrored = la.add_scaled_vector(inner, 1.0, image(past, n))
+                    mass_inner = mass_inner + mass_beyond
+                    put_vector(nodes, inside, la.add_scaled_vector(mirrored, mass_inner, u))
+                    nodes[inside, 3] = mass_inner
+                    put_vector(nodes, beyond, la.scale_vector(none, past))
+                    nodes[beyond, 3] = none
+                else:
+                    past = wall(past, n, coefficient, none)
+                    put_vector(nodes, beyond, la.add_scaled_vector(past, mass_beyond, u))
+        on = wall(on, n, coefficient, pressed)
+        put_vector(nodes, at, la.add_scaled_vector(on, mass_on, u))
     restore_denormals(before)
 
 
-def fill_beyond_wall(nodes, boxes, i0, i1, j0, j1, k0, k1, di, dj, dk, normal, velocity):
-    """Nodes beyond one face that were mirrored move as the image of the inner ones."""
+def fill_beyond_wall(nodes, met, first, last, normal, velocity):
+    """Nodes beyond one face that were mirrored move as the image of the inner ones; arguments as in apply_wall."""
     n, u = load_normal(normal), load_normal(velocity)
     for far in range(BEYOND):
-        for i in range(i0 - far * di, i1 - far * di):
-            box = boxes[i]
-            for j in range(max(j0 - far * dj, box[0]), min(j1 - far * dj, box[1])):
-                for k in range(max(k0 - far * dk, box[2]), min(k1 - far * dk, box[3])):
-                    if nodes[i, j, k, 3] == 0.0:
-                        i2, j2, k2 = i + (2 + 2 * far) * di, j + (2 + 2 * far) * dj, k + (2 + 2 * far) * dk
-                        seen = image(la.add_scaled_vector(momentum_at(nodes, i2, j2, k2), -1.0, u), n)
-                        put_vector(nodes, i, j, k, la.add_scaled_vector(seen, 1.0, u))
+        for i in range(first, last):
+            beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
+            if nodes[beyond, 3] == 0.0:
+                seen = image(la.add_scaled_vector(momentum_at(nodes, inside), -1.0, u), n)
+                put_vector(nodes, beyond, la.add_scaled_vector(seen, 1.0, u))

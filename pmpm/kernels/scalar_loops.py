@@ -22,10 +22,10 @@ from pmpm.kernels.loops import (
     fold_layer,
     load_normal,
     load_parameters,
-    momentum_at,
     node_of_axis,
     node_of_segment,
     place_at,
+    unfold,
 )
 from pmpm.physics import stability, transfer
 from pmpm.physics import tensors2 as la
@@ -36,7 +36,8 @@ from pmpm.physics.words import floor
 
 real = integer = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
-NODES, MIDDLE_NODES, INERTIA = 3, 1, 4.0
+NODES, MIDDLE_NODES, WINDOW, INERTIA = 3, 1, 5, 4.0
+BEFORE_RING = DIVERGENCE_RING = 0  # among the rings
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True  # see lane_loops
@@ -108,6 +109,17 @@ def store(a, b, f, lane, values):
         a[b, f + i, lane] = values[i]
 
 
+def vector_at_2(ring, i, j, k):
+    return (ring[i, j, k, 0], ring[i, j, k, 1])
+
+
+def vector_at_3(ring, i, j, k):
+    return (ring[i, j, k, 0], ring[i, j, k, 1], ring[i, j, k, 2])
+
+
+vector_at = vector_at_2
+
+
 # ---- where a particle stands in its stencil ----------------------------------------------------------------------------
 
 
@@ -161,14 +173,14 @@ along_axes, stencil_node = along_axes_2, stencil_node_2
 
 
 def p2g(
-    reals, places, segments, layer_start, first_layer, last_layer, table, windows, boxes, folds, targets, nodes,
-    plane_boxes, unsummed, slot_boxes, scratch, first_nodes, constants, dt, dx, inv_dx, layer_node, time, load_factor,
-    works,
+    reals, places, segments, layer_start, first_layer, last_layer, table, windows, corner, folds, placed, placed_start, slots,
+    nodes, unsummed, scratch, first_nodes, constants, dt, dx, inv_dx, layer_node, time, load_factor, works,
 ):  # fmt: skip
     before = flush_denormals()
     runs = 0
     for layer in range(first_layer, last_layer):
-        window, box = windows[(layer - first_layer) % windows.shape[0]], boxes[layer]
+        number = (layer - first_layer) % windows.shape[0]
+        window = windows[number]
         held = (NOWHERE, NOWHERE, NOWHERE)
         for s in range(layer_start[layer], layer_start[layer + 1]):
             row = segments[s, 2]
@@ -208,13 +220,11 @@ def p2g(
                     if MLS:
                         M = la.add(M, transfer.stress_momentum(volume0 * dt, tau, inv_dx))
                 i0 = centre_of(place[SLAB]) + PADDING
-                j0 = segments[s, 3] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
-                k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
+                j0 = segments[s, 3] - corner[0] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
+                k0 = segments[s, 4] - corner[1] + centre_of(place[ROW]) + PADDING
                 if held != (i0, j0, k0):
                     held = (i0, j0, k0)
                     runs += 1
-                box[0], box[1] = min(box[0], j0), max(box[1], j0 + MIDDLE_NODES)
-                box[2], box[3] = min(box[2], k0), max(box[3], k0 + 4)
                 for a in range(NODES):
                     for b in range(MIDDLE_NODES):
                         for c in range(NODES):
@@ -229,7 +239,7 @@ def p2g(
                                 window[i0 + a, j0 + b, k0 + c, q] += given[q]
                             window[i0 + a, j0 + b, k0 + c, 3] += weight * mass
         if folds:
-            fold_layer(window, box, targets[layer], nodes, plane_boxes, unsummed, slot_boxes)
+            fold_layer(windows, number, layer, placed, placed_start, corner, slots, nodes, unsummed)
     restore_denormals(before)
     return runs
 
@@ -244,12 +254,24 @@ def moved(place, step):
 
 def g2p(
     reals, places, segments, layer_start, first_layer, last_layer, table, nodes, nodes_before, blend, nodes_divergence,
-    layer_node, limits, ends, scratch, first_nodes, constants, dt, dx, inv_dx, failure,
+    spans, row_start, first_quads, corner, rings, layer_node, limits, ends, scratch, first_nodes, constants, dt, dx, inv_dx,
+    failure,
 ):  # fmt: skip
     before = flush_denormals()
-    speed_squared = wave_squared = strain_squared = real(0.0)
+    ring, ring_before, ring_divergence = rings[0], rings[BEFORE_RING], rings[DIVERGENCE_RING]
+    unfolded = first_layer
+    speed_squared = wave_squared = strain_squared = largest_step = real(0.0)
     drift = integer(0)
     for layer in range(first_layer, last_layer):
+        if layer_start[layer] == layer_start[layer + 1]:
+            continue
+        for number in range(max(unfolded, layer), layer + WINDOW):
+            unfold(nodes, number, spans, row_start, first_quads, corner, ring)
+            if BLENDS:
+                unfold(nodes_before, number, spans, row_start, first_quads, corner, ring_before)
+            if F_BAR:
+                unfold(nodes_divergence, number, spans, row_start, first_quads, corner, ring_divergence)
+        unfolded = layer + WINDOW
         for s in range(layer_start[layer], layer_start[layer + 1]):
             row = segments[s, 2]
             params, density = load_parameters(table, row), table[row, DENSITY_COLUMN]
@@ -259,9 +281,9 @@ def g2p(
                 place = load_vector(places, block, 0, lane)
                 g = along_axes(offset_of, place)
                 w, dw = along_axes(weights, g), along_axes(slopes, g)
-                i0 = layer + centre_of(place[SLAB]) + PADDING
-                j0 = segments[s, 3] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
-                k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
+                i0 = (layer + centre_of(place[SLAB]) + PADDING) % WINDOW
+                j0 = segments[s, 3] - corner[0] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
+                k0 = segments[s, 4] - corner[1] + centre_of(place[ROW]) + PADDING
                 v = la.scale_vector(0.0, g)
                 L = B = la.outer(v, v)
                 v_before, divergence = v, real(0.0)
@@ -269,15 +291,15 @@ def g2p(
                     for b in range(MIDDLE_NODES):
                         for c in range(NODES):
                             weight, d, slope = stencil_node(w, dw, g, a, b, c)
-                            v_node = momentum_at(nodes, i0 + a, j0 + b, k0 + c)
+                            v_node = vector_at(ring, i0 + a, j0 + b, k0 + c)
                             v = transfer.gather_velocity(v, weight, v_node)
                             B = transfer.gather_affine(B, weight, v_node, d)
                             if not MLS:
                                 L = transfer.gather_gradient(L, v_node, slope)
                             if F_BAR:
-                                divergence += weight * nodes_divergence[i0 + a, j0 + b, k0 + c, 0]
+                                divergence += weight * ring_divergence[i0 + a, j0 + b, k0 + c, 0]
                             if BLENDS:
-                                old = momentum_at(nodes_before, i0 + a, j0 + b, k0 + c)
+                                old = vector_at(ring_before, i0 + a, j0 + b, k0 + c)
                                 v_before = transfer.gather_velocity(v_before, weight, old)
                 C = la.scale(INERTIA * inv_dx, B) if BY_INERTIA else la.scale(inv_dx, L)
                 G = la.scale(dt, C) if MLS else la.scale(dt * inv_dx, L)
@@ -286,6 +308,8 @@ def g2p(
                 state = law.advance(load_state(reals, block, STATE_FIELD, lane), G, dt, params)
 
                 step = la.scale_vector(dt * inv_dx, v)
+                for axis in range(DIMENSIONS):
+                    largest_step = max(largest_step, abs(step[axis]))
                 cause = 0
                 if not law.valid(state):
                     cause = CAUSE_STATE
@@ -326,29 +350,37 @@ def g2p(
                 strain_squared = max(strain_squared, la.norm_squared(G))
                 drift = max(drift, far)
     restore_denormals(before)
-    return speed_squared, wave_squared, real(drift) * UNIT, strain_squared
+    return speed_squared, wave_squared, real(drift) * UNIT, strain_squared, largest_step
 
 
 def measure_divergence(
-    reals, places, segments, layer_start, first_layer, last_layer, nodes, scratch, first_nodes, constants, inv_dx,
+    reals, places, segments, layer_start, first_layer, last_layer, nodes, spans, row_start, first_quads, corner, rings,
+    scratch, first_nodes, constants, inv_dx,
 ):  # fmt: skip
     before = flush_denormals()
+    ring = rings[0]
+    unfolded = first_layer
     for layer in range(first_layer, last_layer):
+        if layer_start[layer] == layer_start[layer + 1]:
+            continue
+        for number in range(max(unfolded, layer), layer + WINDOW):
+            unfold(nodes, number, spans, row_start, first_quads, corner, ring)
+        unfolded = layer + WINDOW
         for s in range(layer_start[layer], layer_start[layer + 1]):
             for n in range(segments[s, 1]):
                 block, lane = segments[s, 0] + (n >> 4), n & 15
                 place = load_vector(places, block, 0, lane)
                 g = along_axes(offset_of, place)
                 w, dw = along_axes(weights, g), along_axes(slopes, g)
-                i0 = layer + centre_of(place[SLAB]) + PADDING
-                j0 = segments[s, 3] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
-                k0 = segments[s, 4] + centre_of(place[ROW]) + PADDING
+                i0 = (layer + centre_of(place[SLAB]) + PADDING) % WINDOW
+                j0 = segments[s, 3] - corner[0] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
+                k0 = segments[s, 4] - corner[1] + centre_of(place[ROW]) + PADDING
                 divergence = real(0.0)
                 for a in range(NODES):
                     for b in range(MIDDLE_NODES):
                         for c in range(NODES):
                             weight, d, slope = stencil_node(w, dw, g, a, b, c)
-                            divergence += la.dot(momentum_at(nodes, i0 + a, j0 + b, k0 + c), slope)
+                            divergence += la.dot(vector_at(ring, i0 + a, j0 + b, k0 + c), slope)
                 reals[block, DIVERGENCE_FIELD, lane] = divergence * inv_dx
     restore_denormals(before)
 

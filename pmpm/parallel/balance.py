@@ -16,9 +16,9 @@ MOVE_WORK = 1000  # of a particle that changes ranks, packing, sending and its s
 WORTH = 0.02  # of the busiest rank's work that new cuts must save at least
 
 
-def layer_work(populations, works, boxes):
-    """(layers,) int64 work of this rank's layers: populations by law with their works, `boxes` (layers, 4) of nodes."""
-    total = NODE_WORK * np.prod(np.clip(boxes[:, 1::2] - boxes[:, ::2], 0, None), axis=1)
+def layer_work(populations, works, layer_quads):
+    """(layers,) int64 work of this rank's layers: populations by law with their works, quads of nodes that each reaches."""
+    total = NODE_WORK * 4 * layer_quads
     for population, work in zip(populations, works, strict=True):
         total += work * np.diff(sums_below(population.segments[:, 1])[population.layer_start])
     return total

@@ -23,16 +23,13 @@ class Alone:
 
     rank, size = 0, 1
 
-    def start_exchange(self, sends, receives):
-        """Post messages: `sends` and `receives` are lists of (peer, tag, contiguous array of bytes); an array to receive into
-        may be longer than what comes. Finish with `finish`."""
-        waiting = {tag: array for _, tag, array in sends}
-        for _, tag, array in receives:
-            sent = waiting.pop(tag)
-            array[: len(sent)] = sent
+    def exchange(self, sends, receives):
+        """Ready messages that are sent again and again: `sends` and `receives` are lists of (peer, tag, contiguous array of
+        bytes); an array to receive into may be longer than what comes. The answer has `start` and `finish`."""
+        return ToOneself(sends, receives)
 
     def finish(self, handle):
-        """Wait for what `start_exchange`, `start_max` or `start_sum` posted."""
+        """Wait for what `start_max` or `start_sum` posted."""
         return handle
 
     def start_max(self, values):
@@ -77,6 +74,41 @@ class Alone:
         os._exit(status)
 
 
+class ToOneself:
+    """Messages of one process to itself, across the seam of a periodic axis."""
+
+    def __init__(self, sends, receives):
+        into = {tag: array for _, tag, array in receives}
+        self.copies = [(into[tag][: len(array)], array) for _, tag, array in sends]
+
+    def start(self):
+        for into, array in self.copies:
+            into[:] = array
+
+    def finish(self):
+        pass
+
+
+class Exchange:
+    """The same few messages over MPI, with persistent requests: a step allocates nothing."""
+
+    def __init__(self, world, sends, receives):
+        self.mpi = world.mpi
+        self.requests = [world.communicator.Recv_init(array, peer, tag) for peer, tag, array in receives]
+        self.requests += [world.communicator.Send_init(array, peer, tag) for peer, tag, array in sends]
+
+    def start(self):
+        self.mpi.Prequest.Startall(self.requests)
+
+    def finish(self):
+        self.mpi.Request.Waitall(self.requests)
+
+    def __del__(self):
+        if not self.mpi.Is_finalized():
+            for request in self.requests:
+                request.Free()
+
+
 class World:
     """The same verbs over an mpi4py communicator."""
 
@@ -88,10 +120,8 @@ class World:
         self.mpi, self.communicator = MPI, communicator
         self.rank, self.size = communicator.rank, communicator.size
 
-    def start_exchange(self, sends, receives):
-        requests = [self.communicator.Irecv(array, peer, tag) for peer, tag, array in receives]
-        requests += [self.communicator.Isend(array, peer, tag) for peer, tag, array in sends]
-        return requests, None
+    def exchange(self, sends, receives):
+        return Exchange(self, sends, receives)
 
     def finish(self, handle):
         requests, result = handle

@@ -1,102 +1,138 @@
 """The halo sum after P2G: one message per cut and direction, and the same ordered sum on both sides (see slabs).
 
-A message holds, of each of its planes, the box that is not zero, and what is in it.
+A message holds, of each of its planes, which nodes it has, as spans, and what is on them.
 """
 
 import numpy as np
 
-from pmpm.kernels.loops import EMPTY_BOX
+HEAD = 64  # bytes: numbers of a message begin at a multiple
 
 
 class Message:
-    """Bytes on their way: boxes (planes, 4) int64, then the reals of the boxes."""
+    """Bytes on their way: how many spans each plane has (int64), all spans (middle, first quad, last quad + 1) in int32, then
+    the reals of their nodes. Room for full planes: what is not used takes no memory."""
 
-    def __init__(self, planes, shape, real):
-        boxes = planes * len(EMPTY_BOX) * 8
-        self.bytes = np.zeros(boxes + planes * int(np.prod(shape)) * np.dtype(real).itemsize, np.uint8)
-        self.boxes = self.bytes[:boxes].view(np.int64).reshape(planes, len(EMPTY_BOX))
-        self.reals = self.bytes[boxes:].view(real)
+    def __init__(self, planes, rows, quads, real):
+        self.planes, self.itemsize = planes, np.dtype(real).itemsize
+        most = self.first_real(planes * rows * (quads // 2 + 1)) * self.itemsize
+        self.bytes = np.zeros(most + planes * rows * quads * 16 * self.itemsize, np.uint8)
+        self.counts = self.bytes[: 8 * planes].view(np.int64)
+        self.spans = self.bytes[8 * planes : most].view(np.int32)
+        self.reals = self.bytes.view(real)
+        self.used = np.zeros(0, np.uint8)
 
-    def packed(self, pack, planes, boxes):
-        """The bytes that hold what the boxes of these planes do."""
-        used = pack(planes, boxes, self.boxes, self.reals)
-        return self.bytes[: self.boxes.nbytes + used * self.reals.itemsize]
+    def first_real(self, spans):
+        """Which of all reals is the first after so many spans."""
+        return -(-(8 * self.planes + 12 * spans) // HEAD) * HEAD // self.itemsize
+
+    def tell(self, counts, spans, reals):
+        """Write what will be sent: spans (n, 3) of the planes, and how many reals. Returns a view of where these go."""
+        self.counts[:] = counts
+        self.spans[: spans.size] = spans.ravel()
+        first = self.first_real(len(spans))
+        self.used = self.bytes[: (first + reals) * self.itemsize]
+        return self.reals[first : first + reals]
+
+    def told(self):
+        """Where the reals of what has arrived begin."""
+        return self.first_real(int(self.counts.sum()))
 
 
 class Halo:
-    """Exchanges the shared planes of one rank's patch. Buffers are allocated once per set of cuts.
+    """Exchanges the shared planes of one rank's patch. Buffers are allocated once per set of cuts; `lay_out` follows the nodes.
 
-    `targets[layer, k]` tells P2G where plane k of a layer's window goes; `unsummed` and `slot_boxes` hold the planes that the
-    rank which sums before this one needs unsummed.
+    The rank that sums before another one at a cut sends what it has summed, the other what P2G has kept apart for it.
     """
 
     def __init__(self, comm, slabs, patch, kernels):
-        first, last = slabs.owned(comm.rank)
-        window = patch.windows.shape[1]
         self.comm, self.patch, self.kernels = comm, patch, kernels
-        self.targets = (np.arange(last - first)[:, None] + np.arange(window)).astype(np.int64)
-        self.receives, self.as_earlier, self.as_later = [], [], []
-        sends: list[tuple] = []
+        self.sums, self.unsummed = (
+            [],
+            [],
+        )  # what is sent: (peer, tag, message, first plane) and (peer, tag, message, pairs)
+        self.as_earlier, self.as_later = [], []  # what is received: (peer, tag, message, planes, pairs that follow)
         self.low_shared = self.high_shared = False
-        shape, real = patch.nodes.shape[1:], patch.nodes.dtype
-        slots: list[int] = []
+        self.messages = self.bytes = 0  # sent since the beginning
+        rows, quads, real = patch.rows, patch.row_quads, patch.real
         for number, cut in enumerate(slabs.cuts):
             sums_tag, unsummed_tag = 2 * number, 2 * number + 1
             if comm.rank == cut.earlier:
                 low = cut.earlier_first - patch.first_plane
-                shared = slice(low, low + cut.planes)
-                incoming = Message(len(cut.unsummed), shape, real)
                 shift = cut.earlier_first - cut.later_first - patch.first_plane
                 planes = np.array([plane + shift for _, plane in cut.unsummed])
-                sums = (patch.nodes[shared], patch.boxes[shared])
-                sends.append((cut.later, sums_tag, Message(cut.planes, shape, real), sums))
-                self.receives.append((cut.later, unsummed_tag, incoming.bytes))
-                self.as_earlier.append((incoming, planes))
-                self.note_shared(shared, patch.planes)
+                self.sums.append((cut.later, sums_tag, Message(cut.planes, rows, quads, real), low))
+                self.as_earlier.append((cut.later, unsummed_tag, Message(len(planes), rows, quads, real), planes, None))
+                self.note_shared(low, cut.planes)
             if comm.rank == cut.later:
                 low = cut.later_first - patch.first_plane
-                shared = slice(low, low + cut.planes)
-                incoming = Message(cut.planes, shape, real)
-                mine = slice(len(slots), len(slots) + len(cut.unsummed))
-                planes = np.array([plane - patch.first_plane for _, plane in cut.unsummed])
-                self.receives.append((cut.earlier, sums_tag, incoming.bytes))
-                own = Message(len(cut.unsummed), shape, real)
-                self.as_later.append((incoming, low, own, planes))
-                for layer, plane in cut.unsummed:
-                    self.targets[layer - first, plane - (layer - slabs.reach_low)] = -1 - len(slots)
-                    slots.append(plane)
-                sends.append((cut.earlier, unsummed_tag, own, mine))
-                self.note_shared(shared, patch.planes)
-        self.unsummed = np.zeros((len(slots), *shape), real)
-        self.slot_boxes = np.tile(np.array(EMPTY_BOX), (len(slots), 1))
-        self.sends = [
-            (peer, tag, message, what if isinstance(what, tuple) else (self.unsummed[what], self.slot_boxes[what]))
-            for peer, tag, message, what in sends
-        ]
+                pairs = patch.keep_apart(
+                    [(layer - patch.first_layer, plane - layer + slabs.reach_low) for layer, plane in cut.unsummed]
+                )
+                planes = low + np.arange(cut.planes)
+                self.unsummed.append((cut.earlier, unsummed_tag, Message(len(pairs), rows, quads, real), pairs))
+                self.as_later.append((cut.earlier, sums_tag, Message(cut.planes, rows, quads, real), planes, pairs))
+                self.note_shared(low, cut.planes)
+        self.outgoing: list[tuple] = []  # (where reals go, where they are)
 
-    def note_shared(self, shared, planes):
-        self.low_shared |= shared.start == 0
-        self.high_shared |= shared.stop == planes
+    def note_shared(self, first, count):
+        self.low_shared |= first == 0
+        self.high_shared |= first + count == self.patch.planes
+
+    def lay_out(self):
+        """Write which nodes the messages hold, and ready them."""
+        patch = self.patch
+        self.outgoing = []
+        for _, _, message, low in self.sums:
+            rows = patch.row_start[low * patch.rows : (low + message.planes) * patch.rows + 1]
+            starts = rows[:: patch.rows]
+            spans = patch.spans[starts[0] : starts[-1]].copy()
+            spans[:, 0] %= patch.rows
+            nodes = patch.nodes[4 * patch.plane_start[low] : 4 * patch.plane_start[low + message.planes]].reshape(-1)
+            self.outgoing.append((message.tell(np.diff(starts), spans, nodes.size), nodes))
+        first = 0
+        for _, _, message, pairs in self.unsummed:
+            of_layers = [slice(*patch.placed_start[layer : layer + 2]) for layer in pairs[:, 0]]
+            spans = [patch.placed[of_layer, :3] for of_layer in of_layers]
+            begin, end = patch.slot_start[first], patch.slot_start[first + len(pairs)]
+            kept = patch.unsummed[4 * begin : 4 * end].reshape(-1)
+            self.outgoing.append((message.tell(list(map(len, spans)), np.concatenate(spans), kept.size), kept))
+            first += len(pairs)
+        sends = [(peer, tag, message.used) for peer, tag, message, _ in (*self.sums, *self.unsummed)]
+        receives = [(peer, tag, message.bytes) for peer, tag, message, *_ in (*self.as_earlier, *self.as_later)]
+        self.step_bytes = sum(len(sent) for _, _, sent in sends)
+        self.exchange = self.comm.exchange(sends, receives)
 
     def warm_up(self):
         """Load the kernels without touching anything."""
-        nothing = Message(0, self.patch.nodes.shape[1:], self.patch.nodes.dtype)
-        nodes, boxes = self.patch.nodes, self.patch.boxes
-        self.kernels.pack(nodes[:0], boxes[:0], nothing.boxes, nothing.reals)
-        self.kernels.take_planes(nodes, boxes, 0, nothing.boxes, nothing.reals)
-        self.kernels.add_planes(nodes, boxes, np.zeros(0, np.int64), nothing.boxes, nothing.reals)
+        patch, nothing = self.patch, Message(0, 1, 1, self.patch.real)
+        self.add(nothing, np.zeros(0, np.int64))
+        self.kernels.add_slots(
+            patch.nodes, patch.unsummed, patch.placed, patch.placed_start, patch.slots, np.zeros((0, 2), np.int64)
+        )
 
     def start(self):
         """Send the shared planes on their way."""
-        sends = [(peer, tag, message.packed(self.kernels.pack, *what)) for peer, tag, message, what in self.sends]
-        return self.comm.start_exchange(sends, self.receives)
+        for room, values in self.outgoing:
+            room[:] = values
+        self.messages += len(self.outgoing)
+        self.bytes += self.step_bytes
+        self.exchange.start()
 
-    def finish(self, handle):
+    def wait(self):
+        """Wait for what others send."""
+        self.exchange.finish()
+
+    def finish(self):
         """Complete the sums of the shared planes, the same way on both sides."""
-        self.comm.finish(handle)
-        nodes, boxes = self.patch.nodes, self.patch.boxes
-        for incoming, planes in self.as_earlier:
-            self.kernels.add_planes(nodes, boxes, planes, incoming.boxes, incoming.reals)
-        for incoming, low, own, planes in self.as_later:
-            self.kernels.take_planes(nodes, boxes, low, incoming.boxes, incoming.reals)
-            self.kernels.add_planes(nodes, boxes, planes, own.boxes, own.reals)
+        for _, _, message, planes, _ in self.as_earlier:
+            self.add(message, planes)
+        for _, _, message, planes, pairs in self.as_later:
+            self.add(message, planes)
+            self.patch.add_apart(self.kernels, pairs)
+
+    def add(self, message, planes):
+        patch = self.patch
+        self.kernels.add_planes(
+            patch.nodes, patch.spans, patch.row_start, patch.first_quads, patch.rows, planes, message.counts,
+            message.spans, message.reals, message.told(),
+        )  # fmt: skip

@@ -129,24 +129,37 @@ def domain_limits(scene, geometry):
     return limits, ends
 
 
-@dataclass(frozen=True)
+@dataclass
 class PatchWall:
-    """One face in a rank's patch: box (i0, i1, j0, j1, k0, k1) of the nodes just beyond it, the step (di, dj, dk) from there
-    to the nodes on it, normal into the material, velocity at present. Cubic stencils may reach another node beyond these."""
+    """One face in a rank's patch: the array axis and number of the plane, row or nodes on it, which way is inward, normal into
+    the material, velocity at present. `met`: numbers of nodes, see kernels.loops.apply_wall, plane after plane."""
 
     type: str
-    box: tuple[int, ...]
-    step: tuple[int, int, int]
+    place: int
+    on: int
+    inward: int
     normal: np.ndarray
     coefficient: float
     face: str
     velocity: np.ndarray
+    met: np.ndarray
+    plane_start: np.ndarray
 
-    def clipped(self, first_plane, last_plane):
-        """The box, as far as it lies on planes first_plane .. last_plane - 1."""
-        i0, i1, *rest = self.box
-        i0, i1 = max(i0, first_plane), min(i1, last_plane)
-        return (i0, max(i0, i1), *rest)
+    def lay_out(self, patch):
+        """Find the nodes that the patch has on, beyond and inside of the face."""
+        on = patch.nodes_on(self.place, self.on)
+        columns = [patch.find(*on)]
+        for far in range(1, patch.geometry.stencil.beyond + 1):
+            for side in (-far, far):
+                columns.append(
+                    patch.find(*(c + self.inward * side * (axis == self.place) for axis, c in enumerate(on)))
+                )
+        self.met = np.stack(columns, axis=1)
+        self.plane_start = np.searchsorted(on[0], np.arange(patch.planes + 1))
+
+    def between(self, first_plane, last_plane):
+        """Which of what is met lies on planes first_plane .. last_plane - 1: (first, last + 1)."""
+        return int(self.plane_start[first_plane]), int(self.plane_start[last_plane])
 
 
 def patch_walls(scene, geometry, patch, real):
@@ -157,17 +170,19 @@ def patch_walls(scene, geometry, patch, real):
         if wall.type == "free":
             continue
         axis, at_max = "xyz".index(face[0]), face.endswith("max")
-        box = [0, patch.planes, 0, patch.nodes.shape[1], 0, patch.nodes.shape[2]]
-        origin = patch.first_plane if axis == geometry.axes[0] else -geometry.stencil.reach_low
         place = array_axis[axis]
-        beyond = (geometry.cells[axis] + 1 if at_max else -1) - origin
-        if not 0 <= beyond < box[2 * place + 1]:
+        origin = patch.first_plane if place == 0 else -geometry.stencil.reach_low
+        on, inward = (geometry.cells[axis] if at_max else 0) - origin, -1 if at_max else 1
+        if place == 0 and not 0 <= on - inward < patch.planes:
             continue
-        box[2 * place : 2 * place + 2] = beyond, beyond + 1
-        inward = -1 if at_max else 1
-        step = (inward * (place == 0), inward * (place == 1), inward * (place == 2))
         normal = np.zeros(geometry.dim, real)
         normal[axis] = inward
         still = np.zeros(geometry.dim, real)
-        walls.append(PatchWall(wall.type, tuple(box), step, normal, real(wall.coefficient), face, still))
+        nothing = np.zeros((0, 1 + 2 * geometry.stencil.beyond), np.int64)
+        walls.append(
+            PatchWall(
+                wall.type, place, on, inward, normal, real(wall.coefficient), face, still, nothing,
+                np.zeros(patch.planes + 1, np.int64),
+            )
+        )  # fmt: skip
     return walls

@@ -5,30 +5,26 @@ The same on both sides, and as exact as the ordered sum, but the bits depend on 
 
 import sys
 
-import numpy as np
-
 from pmpm.cli import main
 from pmpm.parallel.halo import Halo
 
 
-def finish(self, handle):
-    self.comm.finish(handle)
-    nodes, boxes = self.patch.nodes, self.patch.boxes
-    for incoming, planes in self.as_earlier:
-        self.add_partial_sums(incoming, planes)
-    for incoming, low, own, planes in self.as_later:
-        self.kernels.take_planes(nodes, boxes, low, incoming.boxes, incoming.reals)
-        self.add_partial_sums(own, planes)
+def finish(self):
+    for _, _, message, planes, _ in self.as_earlier:
+        add_partial_sums(self.patch.nodes, self.add, message, planes)
+    for _, _, message, planes, pairs in self.as_later:
+        self.add(message, planes)
+        add_partial_sums(self.patch.nodes, self.patch.add_apart, self.kernels, pairs)
 
 
-def add_partial_sums(self, message, planes):
+def add_partial_sums(nodes, add, *arguments):
     """Sum the layers after the cut, then add that."""
-    nodes, boxes = self.patch.nodes, self.patch.boxes
-    sums = np.zeros_like(nodes)
-    self.kernels.add_planes(sums, boxes, planes, message.boxes, message.reals)
+    sums = nodes.copy()
+    nodes[:] = 0.0
+    add(*arguments)
     nodes += sums
 
 
 if __name__ == "__main__":
-    Halo.finish, Halo.add_partial_sums = finish, add_partial_sums
+    Halo.finish = finish
     sys.exit(main())

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pmpm.kernels import loops, targets
-from pmpm.kernels.loops import EMPTY_BOX
+from pmpm.kernels import loops, spans, targets
+from pmpm.kernels.build import PER_CUT
 from pmpm.kernels.needs import STENCILS
 from pmpm.parallel.comm import World
 from pmpm.parallel.halo import Halo
+from pmpm.parallel.parts import parts_of
 from pmpm.parallel.slabs import Slabs
 from pmpm.state.grid import Geometry, Patch
 
@@ -21,12 +22,13 @@ pytestmark = pytest.mark.mpi(min_size=2)
 COMM = World(MPI.COMM_WORLD)
 QUADRATIC = STENCILS["quadratic"]
 WINDOW, LOW, HIGH = QUADRATIC.window, QUADRATIC.reach_low, QUADRATIC.reach_high
-CELLS, ROW_PADDING = 17, 4
+CELLS, ALONG = 17, 45
 GRIDS = {  # cells and array axes of the slab axis x, y, z
-    "x in 2-D": ((CELLS, 3), (0, -1, 1)),
-    "y in 2-D": ((3, CELLS), (1, -1, 0)),
-    "z in 3-D": ((2, 1, CELLS), (2, 0, 1)),
+    "x in 2-D": ((CELLS, ALONG), (0, -1, 1)),
+    "y in 2-D": ((ALONG, CELLS), (1, -1, 0)),
+    "z in 3-D": ((4, ALONG, CELLS), (2, 0, 1)),
 }
+REAL_KERNELS = ("find_spans", "place_spans")
 
 
 def geometry(grid, periodic):
@@ -43,44 +45,57 @@ def edges_of_all_cuts(layers, ranks):
                 yield edges
 
 
-def boxes_of_layers(layers, shape):
-    """(layers, 4) where along middle and row each layer gives anything; one gives nothing."""
+@functools.cache
+def quads_of_layers(layers, shape):
+    """(layers, rows, quads) bool: the quads that each layer gives anything to, with holes; one gives nothing."""
     random = np.random.default_rng(5)
-    low = random.integers(0, 2, (layers, 2)) * (np.array(shape) > 1)
-    row = shape[1] - ROW_PADDING  # the rest lets rows of four nodes reach over their end
-    boxes = np.stack([low[:, 0], np.full(layers, shape[0]), low[:, 1], row - low[:, 1]], axis=1)
-    boxes[3] = EMPTY_BOX
-    return boxes
+    held = random.random((layers, shape[0], -(-shape[1] // 4))) < 0.6
+    held[:, 0, 3:6] = False
+    held[3] = False
+    return held
 
 
 def contributions(layers, shape, real):
-    """(layers, window, *shape, 4) what each layer adds to its planes; the sum depends on its order in almost any place."""
+    """(layers, window, rows, 4 quads, 4) what each layer adds to its planes; the sum depends on its order almost anywhere."""
     random = np.random.default_rng(11)
-    values = random.standard_normal((layers, WINDOW, *shape, 4)) * 10.0 ** random.integers(
-        -6, 6, (layers, WINDOW, 1, 1, 1)
-    )
-    for window, (j0, j1, k0, k1) in zip(values, boxes_of_layers(layers, shape), strict=True):
-        outside = np.ones(shape, bool)
-        outside[j0:j1, k0:k1] = False
-        window[:, outside] = 0.0
-    return values.astype(real)
+    held = quads_of_layers(layers, shape)
+    size = (layers, WINDOW, *held.shape[1:], 16)
+    values = random.standard_normal(size) * 10.0 ** random.integers(-6, 6, (layers, WINDOW, 1, 1, 1))
+    values *= held[:, None, :, :, None]
+    return values.reshape(layers, WINDOW, held.shape[1], -1, 4).astype(real)
 
 
 @functools.cache
 def kernels(real):
-    """The loops over planes of a scene, and `fold` of some layers."""
+    """The loops over nodes of a scene, and `fold_layer`."""
     target = targets.scalar(real)
-    entries = {name: target.entry(getattr(loops, name)) for name in ("clear", "pack", "take_planes", "add_planes")}
+    entries = {name: target.entry(getattr(loops, name)) for name in PER_CUT}
+    entries |= {name: target.entry(getattr(spans, name)) for name in REAL_KERNELS}
     return SimpleNamespace(**entries, fold_layer=target.compile(loops.fold_layer))
 
 
-def fold(given, first, last, halo, patch):
-    boxes = boxes_of_layers(len(given), patch.nodes.shape[1:3])
+def lay_out(patch, shape):
+    """Let a patch take the nodes of `quads_of_layers`, as if particles had marked them."""
+    held = quads_of_layers(patch.geometry.layers, shape)[patch.first_layer : patch.first_layer + patch.layers]
+    bits = np.packbits(held, axis=2, bitorder="little")
+
+    def mark(*arguments):
+        arguments[-1].view(np.uint8)[:, :, : bits.shape[2]] |= bits
+
+    population = SimpleNamespace(places=None, segments=None, layer_start=None)
+    patch.lay_out([population], SimpleNamespace(**vars(kernels(patch.real)) | {"mark_cells": mark}), [])
+
+
+def fold(given, first, last, patch):
+    """Add layers first .. last - 1, in the patch's counting."""
+    middle, node, _ = patch.corner
+    windows = patch.windows[0]
     for layer in range(first, last):
-        halo.kernels.fold_layer(
-            given[layer].copy(), boxes[layer], halo.targets[layer - first], patch.nodes, patch.boxes, halo.unsummed,
-            halo.slot_boxes,
-        )  # fmt: skip
+        of_layer = given[patch.first_layer + layer]
+        windows[0] = of_layer[:, middle : middle + windows.shape[2], node : node + windows.shape[3]]
+        kernels(patch.real).fold_layer(
+            windows, 0, layer, patch.placed, patch.placed_start, patch.corner, patch.slots, patch.nodes, patch.unsummed
+        )
 
 
 def ordered_sum(given, periodic):
@@ -93,33 +108,66 @@ def ordered_sum(given, periodic):
     return planes
 
 
-def halo_sum(given, grid, edges):
-    """The patch of this rank after the halo."""
-    slabs = Slabs(grid.layers, grid.periodic[grid.axes[0]], LOW, HIGH, edges)
-    first, last = slabs.owned(COMM.rank)
-    patch = Patch(grid, first, last, 1, given.dtype.type)
-    halo = Halo(COMM, slabs, patch, kernels(given.dtype.type))
-    fold(given, first, last, halo, patch)
-    halo.finish(halo.start())
-    return patch
+class Summed:
+    """The patch of this rank, whose layers are summed part by part, those inside backwards, and its halo."""
+
+    def __init__(self, given, grid, edges, threads):
+        real = given.dtype.type
+        slabs = Slabs(grid.layers, grid.periodic[grid.axes[0]], LOW, HIGH, edges)
+        first, last = slabs.owned(COMM.rank)
+        self.given, self.patch = given, Patch(grid, first, last, 1, real)
+        self.halo = Halo(COMM, slabs, self.patch, kernels(real))
+        works = np.ones(last - first, np.int64)
+        self.parts = parts_of(works, WINDOW, self.halo.low_shared, self.halo.high_shared, threads)
+        self.apart = self.patch.keep_apart([pair for pair in self.parts.apart if pair not in self.patch.apart])
+        lay_out(self.patch, grid.plane_shape)
+        self.halo.lay_out()
+
+    def step(self):
+        patch = self.patch
+        patch.nodes[:] = 0.0
+        for part in self.parts.edges:
+            fold(self.given, *part, patch)
+        self.halo.start()
+        for part in reversed(self.parts.inner):
+            fold(self.given, *part, patch)
+        patch.add_apart(kernels(patch.real), self.apart)
+        self.halo.wait()
+        self.halo.finish()
+        return patch
 
 
 def differing_planes(patch, expected, layers, periodic):
-    planes = range(patch.first_plane, patch.first_plane + patch.planes)
-    names = [plane % layers if periodic else plane for plane in planes]
-    return [name for name, own in zip(names, patch.nodes, strict=True) if own.tobytes() != expected[name].tobytes()]
+    """Planes on which a node that there is holds anything but the sum."""
+    plane, middle, node = patch.nodes_of(slice(None))
+    found = []
+    for number in range(patch.planes):
+        name = (number + patch.first_plane) % layers if periodic else number + patch.first_plane
+        here = plane == number
+        if patch.nodes[here].tobytes() != expected[name][middle[here], node[here]].tobytes():
+            found.append(name)
+    return found
+
+
+def missing_nodes(patch, shape):
+    """How many of the quads that this rank's layers give to are not there."""
+    held = quads_of_layers(patch.geometry.layers, shape)[patch.first_layer : patch.first_layer + patch.layers]
+    layer, middle, quad = np.nonzero(held)
+    return sum(int((patch.find(layer + k, middle, 4 * quad) < 0).sum()) for k in range(WINDOW))
 
 
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 @pytest.mark.parametrize("periodic", [False, True], ids=["walls", "periodic"])
 @pytest.mark.parametrize("grid", GRIDS)
-def test_every_plane_of_every_rank_holds_the_ordered_sum_for_all_cuts(grid, periodic, real):
+def test_every_node_of_every_rank_holds_the_ordered_sum_for_all_cuts_and_threads(grid, periodic, real):
     grid = geometry(grid, periodic)
     given = contributions(grid.layers, grid.plane_shape, real)
     expected = ordered_sum(given, periodic)
     wrong = {}
-    for edges in edges_of_all_cuts(grid.layers, COMM.size):
-        wrong[edges] = differing_planes(halo_sum(given, grid, edges), expected, grid.layers, periodic)
+    for edges, threads in itertools.product(edges_of_all_cuts(grid.layers, COMM.size), (1, 3)):
+        patch = Summed(given, grid, edges, threads).step()
+        wrong[edges, threads] = differing_planes(patch, expected, grid.layers, periodic)
+        assert missing_nodes(patch, grid.plane_shape) == 0
     assert all(not found for rank in COMM.gather(wrong) for found in rank.values()), wrong
 
 
@@ -128,7 +176,7 @@ def test_all_cuts_are_as_many_as_there_should_be():
 
 
 def test_the_contributions_tell_orders_apart():
-    given = contributions(CELLS, (1, 3), np.float64)
+    given = contributions(CELLS, (1, 9), np.float64)
     backwards = ordered_sum(given[::-1, ::-1], False)
     forwards = ordered_sum(given, False)
     assert any(forwards[plane].tobytes() != backwards[CELLS - 1 - plane].tobytes() for plane in range(CELLS))
@@ -139,14 +187,6 @@ def test_a_second_step_begins_from_nothing(periodic):
     grid = geometry("x in 2-D", periodic)
     given = contributions(grid.layers, grid.plane_shape, np.float64)
     edges = max(edges_of_all_cuts(grid.layers, COMM.size), key=lambda edges: len(set(edges)))
-    slabs = Slabs(grid.layers, periodic, LOW, HIGH, edges)
-    first, last = slabs.owned(COMM.rank)
-    patch = Patch(grid, first, last, 1, np.float64)
-    halo = Halo(COMM, slabs, patch, kernels(np.float64))
-    found = []
-    for _ in range(2):
-        halo.kernels.clear(patch.nodes, patch.boxes)
-        fold(given, first, last, halo, patch)
-        halo.finish(halo.start())
-        found.append(patch.nodes.tobytes())
+    summed = Summed(given, grid, edges, 1)
+    found = [summed.step().nodes.tobytes() for _ in range(2)]
     assert COMM.gather(found[0]) == COMM.gather(found[1])

@@ -32,8 +32,9 @@ def test_a_regroup_keeps_particles_a_little_beyond_the_ends_of_the_domain(shape,
     simulation.regroup()
     order, as_before = np.argsort(simulation.particles.id), np.argsort(ids)
     assert (simulation.particles.x[order] == moved[as_before]).all()
-    simulation.scatter(0, simulation.last_layer - simulation.first_layer, 0.0)
-    assert simulation.patch.nodes[..., 3].sum() == pytest.approx(simulation.measure()["mass"], rel=1e-12)
+    simulation.lay_out()
+    simulation.scatter(0.0, simulation.kernels.p2g)
+    assert simulation.patch.nodes[:, 3].sum() == pytest.approx(simulation.measure()["mass"], rel=1e-12)
 
 
 def water(size, low, high, periodic, precision="float64", velocity=(0.0, 0.0)):

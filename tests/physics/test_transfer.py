@@ -59,21 +59,23 @@ def cloud(dim, transfer, shape, precision, stressed=True):
 
 def scatter(simulation, dt):
     """P2G alone. Returns (positions (n, dim), mass (n,), momentum (n, dim)) of the nodes, float64."""
+    simulation.lay_out()
     if simulation.needs.scheme.blends:
         simulation.keep_velocities(dt)
-    simulation.scatter(0, simulation.last_layer - simulation.first_layer, dt)
+    simulation.scatter(dt, simulation.kernels.p2g)
+    simulation.finish_halo()
     return places(simulation), *mass_and_vector(simulation)
 
 
 def gather(simulation, dt=0.0):
     """G2P alone, from what the nodes hold as velocities."""
     layers = simulation.last_layer - simulation.first_layer
-    simulation.g2p(0, layers, simulation.real(dt), np.zeros(4))
+    simulation.g2p((0, layers), 0, simulation.real(dt))
     assert simulation.failure is None
 
 
 def mass_and_vector(simulation):
-    nodes = simulation.patch.nodes.reshape(-1, 4).astype(float)
+    nodes = simulation.patch.nodes.astype(float)
     return nodes[:, 3], nodes[:, : simulation.dim]
 
 
@@ -82,8 +84,8 @@ def places(simulation):
     geometry, patch = simulation.geometry, simulation.patch
     slab, middle, row = geometry.axes
     low = geometry.stencil.reach_low
-    index = np.indices(patch.nodes.shape[:3]).reshape(3, -1)
-    x = np.empty((index.shape[1], geometry.dim))
+    index = patch.nodes_of(slice(None))
+    x = np.empty((len(patch.nodes), geometry.dim))
     x[:, slab] = index[0] + patch.first_plane
     x[:, row] = index[2] - low
     if middle >= 0:
@@ -146,7 +148,7 @@ def test_g2p_conserves_momentum_and_angular_momentum(dim, transfer, shape, preci
     simulation = cloud(dim, transfer, shape, precision)
     x, m, _ = scatter(simulation, dt=0.0)
     velocity = np.random.default_rng(3).normal(size=(len(m), dim)).astype(simulation.real)
-    simulation.patch.nodes.reshape(-1, 4)[:, :dim] = velocity
+    simulation.patch.nodes[:, :dim] = velocity
     grid = m[:, None] * velocity
     gather(simulation, dt=1e-4)
     _, momentum, angular = particle_totals(simulation)
@@ -172,7 +174,7 @@ def test_an_affine_velocity_field_is_reproduced_exactly(dim, transfer, shape, pr
     touched = m > 0.0
     nodes = p[touched] / m[touched, None]
     assert np.abs(nodes - v0 - x[touched] @ A.T).max() < 100.0 * eps * size
-    simulation.update_planes(0, simulation.patch.planes, 0.0)
+    simulation.update_planes((0, simulation.patch.planes), 0.0)
     dt = 1e-3
     gather(simulation, dt)
     assert np.abs(simulation.particles.v - v0 - before @ A.T).max() < 100.0 * eps * size
@@ -203,11 +205,11 @@ def test_flip_adds_the_change_of_the_grid_to_what_the_grid_does_not_hold(blend):
     flip.blend = blend
     for simulation in (pic, flip):
         scatter(simulation, dt=1e-3)
-        simulation.update_planes(0, simulation.patch.planes, 0.0)
+        simulation.update_planes((0, simulation.patch.planes), 0.0)
         gather(simulation, 0.0)
     smoothed = cloud(2, "pic", "quadratic", "float64")
     scatter(smoothed, dt=0.0)
-    smoothed.update_planes(0, smoothed.patch.planes, 0.0)
+    smoothed.update_planes((0, smoothed.patch.planes), 0.0)
     gather(smoothed, 0.0)
     expected = pic.particles.v + blend * (before - smoothed.particles.v)
     assert np.abs(flip.particles.v - expected).max() < 1e-13 * np.abs(expected).max()

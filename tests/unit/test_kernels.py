@@ -25,7 +25,7 @@ from llvm_text import arithmetic_in
 
 import pmpm
 from pmpm.kernels import targets
-from pmpm.kernels.build import OUT_OF_BLOCKS, PER_CUT, PER_PLACES, PER_SCENE, SORTING
+from pmpm.kernels.build import LAYING_OUT, OUT_OF_BLOCKS, PER_CUT, PER_PLACES, PER_SCENE, SORTING
 from pmpm.physics import hencky
 from pmpm.physics.materials import neo_hookean
 from pmpm.physics.words import ATANH_OVER_ROOT, EXPM1_OF_TWICE
@@ -166,7 +166,7 @@ def test_mls_computes_no_weight_gradients(simulation_of):
 def test_float32_kernels_hold_no_double_arithmetic(simulation_of, loops, scene_name):
     """No entry of a step does, those that sort particles and sum planes included; the guard sums energies in double."""
     simulation = simulation_of(scene_name, loops)
-    simulation.kernels.damp(simulation.patch.nodes, simulation.patch.boxes, 0, 0, simulation.drive.kept(0.0))
+    simulation.kernels.damp(simulation.patch.nodes, 0, 0, simulation.drive.kept(0.0))
     unused = (*OUT_OF_BLOCKS, *(() if simulation.slabs.cuts else PER_CUT))
     entries = [name for name in simulation.kernels.entries if not name.startswith("energies")]
     texts = text_of(simulation, [name for name in entries if name not in unused])
@@ -378,7 +378,11 @@ def test_a_second_start_compiles_nothing_and_an_edit_only_what_uses_it(tmp_path)
     kernels = first["kernels_compiled"]
     # P2G and G2P of two laws; 3 that every scene has for its nodes, 4 to sort particles; separating wall and its image; 2 of
     # the checkpoint with which a run stops early.
-    assert kernels == 2 * 2 + len(PER_SCENE) + len(PER_PLACES) + len(SORTING) + 2 + len(OUT_OF_BLOCKS) == 15
+    assert (
+        kernels
+        == 2 * 2 + len(PER_SCENE) + len(PER_PLACES) + len(SORTING) + len(LAYING_OUT) + 2 + len(OUT_OF_BLOCKS)
+        == 17
+    )
     assert first["kernels_loaded"] == 0
 
     second = run(tmp_path, package, cache, "second")
