@@ -34,7 +34,7 @@ from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_wall
 from pmpm.state.derived import PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
 from pmpm.state.grid import SLACK, Patch
-from pmpm.state.particles import Loose, Population, assemble
+from pmpm.state.particles import Cloud, Loose, Population, assemble
 from pmpm.timestep import FAILED, FORCE, GRADIENT, LAG, REQUEST, SPEED, WAVE, StepControl
 from pmpm.watching import STOP, Observer, Timers, next_count, spread
 
@@ -70,7 +70,7 @@ class Simulation:
         self.failed: list[tuple[int, int, int, int]] = []  # (law, block, lane, cause) in this step, first of each range
         self.failure: dict | None = None
         self.energies_ready = False  # their kernels are compiled, or loaded, when the guard first asks for them
-        self.regroups, self.sent = 0, np.zeros(self.comm.size, np.int64)
+        self.regroups, self.sent, self.sent_bytes = 0, np.zeros(self.comm.size, np.int64), 0
         self.timers = Timers()
         self.stretch = [0, 0.0]  # steps since this process began, and seconds spent on them without those who watch
         loops = build.chosen_loops()
@@ -532,28 +532,40 @@ class Simulation:
         `loose`: take these particles instead of those at hand. Results do not depend on the cuts. Raises ValueError, and
         changes nothing, for edges that are no slabs of all ranks.
         """
-        began = clock.perf_counter()
+        began, moves = clock.perf_counter(), False
         if edges is not None and len(edges) != self.comm.size + 1:
             raise ValueError(f"edges {edges}: {self.comm.size} ranks need {self.comm.size + 1} of them")
         if edges is None and self.comm.size > 1 and loose is None:
             edges = self.look_at_balance()
+            moves = edges is not None
         if edges is not None:
             self.cut(tuple(map(int, edges)))
         loose = loose or [Loose.of(population, self.geometry, self.kernels) for population in self.populations]
+        held = [len(particles.rows) for particles in loose]
         arrived, sent = migrate(loose, self.geometry.axes[0], self.slabs, self.comm)
+        left = [count - len(particles.rows) for count, particles in zip(held, loose, strict=True)]
+        rows = [Cloud.row_bytes(layout.size, self.dim, self.real) for layout in self.layouts]
         self.settle_in(loose, arrived)
         self.control.regrouped(self.step_count)
         self.regroups += 1
         self.sent += sent
+        nbytes = sum(count * row for count, row in zip(left, rows, strict=True))
+        self.sent_bytes += nbytes
+        if moves:
+            self.balance.note(self.step_count, int(sent.sum()), nbytes)
         self.timers.add("regroup", began)
 
     def look_at_balance(self):
         """New edges if they are worth it, else None. Collective."""
+        return self.balance.look(self.counted_work(), self.slabs.edges, self.step_count - self.control.regroup_step)
+
+    def counted_work(self):
+        """(layers,) work of all layers of the domain in the last step, see `balance`. Collective."""
         work = np.zeros(self.geometry.layers, np.int64)
         work[self.first_layer : self.last_layer] = layer_work(
             self.populations, self.balance.works, self.patch.layer_quads
         )
-        return self.balance.look(self.comm.sum(work), self.slabs.edges, self.step_count - self.control.regroup_step)
+        return self.comm.sum(work)
 
     # ---- running ----
 
@@ -691,8 +703,9 @@ class Simulation:
             "ranks": self.comm.size,
             "edges": list(self.slabs.edges),
             "sent": [list(map(int, sent)) for sent in self.comm.gather(self.sent)],
+            "sent_bytes": self.comm.gather(self.sent_bytes),
             "regroups": self.regroups,
-            "balance": self.balance.report(),
+            "balance": self.balance.report(self.comm),
             "kernels_compiled": compiled,
             "kernels_loaded": loaded,
             "seconds_per_phase": spread(self.comm.gather(self.timers.seconds)),

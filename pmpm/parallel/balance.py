@@ -5,7 +5,8 @@ node that a layer's particles reach NODE_WORK. Where a slab must be at least a s
 are taken whose busiest rank has the least to do.
 """
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from pmpm.parallel.slabs import room
 
 NODE_WORK = 50  # measured: 0.45 (3-D, float32), 0.52 (3-D, float64), 0.71 (2-D) particle-steps
 MOVE_WORK = 1000  # of a particle that changes ranks, packing, sending and its share of new patches: an estimate
+MOST_MOVES = 100  # that are remembered for run.json
 WORTH = 0.02  # of the busiest rank's work that new cuts must save at least
 
 
@@ -109,6 +111,19 @@ def imbalance(works):
 
 
 @dataclass
+class Move:
+    """New cuts: the step before which they were taken, the imbalance before and after, the best there is, and what this rank
+    sent for them: particles and their bytes, those included that had left their slab anyway."""
+
+    step: int
+    before: float
+    after: float
+    best: float
+    particles: int
+    nbytes: int
+
+
+@dataclass
 class Balance:
     """Decides on new cuts, and counts what they did. `works`: of a particle of each law; `wanted`: whether cuts may move."""
 
@@ -119,12 +134,27 @@ class Balance:
     before: float = 1.0  # imbalance when cuts were looked at last, with those cuts
     after: float = 1.0  # and with the cuts that were taken
     best: float = 1.0  # and the best that slabs can do
+    sent: np.ndarray = field(default_factory=lambda: np.zeros(2, np.int64))  # particles and bytes, when cuts moved
+    moves: deque[Move] = field(default_factory=lambda: deque(maxlen=MOST_MOVES))  # the last ones
 
-    def report(self):
-        """What run.json says of it."""
+    def report(self, comm):
+        """What run.json says of it, with particles and bytes of all ranks. Collective."""
+        here = [self.sent, *([move.particles, move.nbytes] for move in self.moves)]
+        (particles, nbytes), *sent = comm.sum(np.array(here, np.int64)).tolist()
         return {
             "cuts_moved": self.changes, "imbalance": self.after, "imbalance_before": self.before, "best": self.best,
+            "particles_sent": particles, "bytes_sent": nbytes,
+            "last_moves": [
+                {"step": move.step, "imbalance_before": move.before, "imbalance": move.after, "best": move.best,
+                 "particles_sent": of_move[0], "bytes_sent": of_move[1]}
+                for move, of_move in zip(self.moves, sent, strict=True)
+            ],
         }  # fmt: skip
+
+    def note(self, step, particles, nbytes):
+        """Take note of what this rank sent when cuts moved before step number `step`."""
+        self.sent += particles, nbytes
+        self.moves.append(Move(step, self.before, self.after, self.best, particles, nbytes))
 
     def look(self, work, edges, steps):
         """New edges, or None where they are not worth it. `work`: (layers,) of all ranks; `steps`: since it was last asked."""

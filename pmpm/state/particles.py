@@ -69,6 +69,11 @@ class Cloud:
         return self.reals.view(FORMATS[self.reals.dtype].integer)
 
     @staticmethod
+    def row_bytes(size, dim, real):
+        """Bytes of a particle in `to_bytes`."""
+        return size * np.dtype(real).itemsize + 4 * dim + 4 + 8
+
+    @staticmethod
     def join(clouds):
         return Cloud(*(np.concatenate([getattr(c, name) for c in clouds]) for name in ("reals", "node", "row", "id")))
 

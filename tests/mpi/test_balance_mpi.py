@@ -5,12 +5,13 @@ import pytest
 from mpi4py import MPI
 
 import pmpm
-from pmpm.parallel.balance import imbalance
+from pmpm.parallel.balance import MOST_MOVES, imbalance
 from pmpm.parallel.comm import World
 
 pytestmark = pytest.mark.mpi(min_size=2)
 
 COMM = World(MPI.COMM_WORLD)
+ROW = 9 * 8 + 2 * 4 + 4 + 8  # bytes of a travelling particle: x, v, C and J, its node, table row and id
 CELLS, STEPS = 30, 3000  # of the column; until the front is at the other end
 
 
@@ -70,9 +71,30 @@ def test_cuts_follow_the_water_and_particles_are_shared_evenly(balanced, fixed):
     assert balanced.slabs.edges != fixed.slabs.edges
 
 
+def test_what_migration_sends_is_told_in_particles_and_bytes(balanced, fixed):
+    for simulation in (balanced, fixed):
+        told = simulation.report()
+        particles = np.array(told["sent"]).sum(axis=1)
+        assert particles.sum() > 0
+        assert told["sent_bytes"] == (ROW * particles).tolist()
+
+
+def test_each_move_of_cuts_is_told_with_what_it_sent_and_what_it_was_good_for(balanced):
+    told = balanced.report()
+    said, moves = told["balance"], told["balance"]["last_moves"]
+    assert len(moves) == min(said["cuts_moved"], MOST_MOVES)
+    steps = [move["step"] for move in moves]
+    assert steps == sorted(set(steps))
+    for move in moves:
+        assert 1.0 <= move["best"] <= move["imbalance"] < move["imbalance_before"]
+        assert move["bytes_sent"] == ROW * move["particles_sent"] > 0
+    assert sum(move["particles_sent"] for move in moves) == said["particles_sent"] <= np.sum(told["sent"])
+    assert said["bytes_sent"] == ROW * said["particles_sent"]
+
+
 def test_cuts_that_may_not_move_stay_and_their_imbalance_is_told(fixed):
     said = fixed.report()["balance"]
-    assert said["cuts_moved"] == 0
+    assert (said["cuts_moved"], said["last_moves"], said["bytes_sent"]) == (0, [], 0)
     assert said["imbalance"] > 1.2
     assert said["best"] < said["imbalance"]
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from pmpm.parallel.balance import MOVE_WORK, Balance, best_edges, imbalance, least_possible, moved, slab_works, smallest
 from pmpm.parallel.slabs import Slabs, room
+from pmpm.state.particles import Cloud
 
 WORK = st.lists(st.one_of(st.just(0), st.integers(0, 3), st.integers(0, 10**12)), min_size=1, max_size=13)
 
@@ -76,3 +77,9 @@ def test_what_moves_is_counted_for_the_rank_that_sends_most():
     assert moved(work, (0, 5, 10), (0, 5, 10)) == 0
     assert moved(work, (0, 5, 10), (0, 8, 10)) == 3 * 7
     assert moved(work, (0, 2, 4, 10), (0, 4, 8, 10)) == 4 * 7
+
+
+@pytest.mark.parametrize(("size", "dim", "real"), [(9, 2, np.float64), (23, 3, np.float32)])
+def test_bytes_of_a_particle_that_moves_are_those_it_takes_in_a_message(size, dim, real):
+    few = Cloud(np.zeros((5, size), real), np.zeros((5, dim), np.int32), np.zeros(5, np.int32), np.zeros(5, np.int64))
+    assert len(few.to_bytes()) == 5 * Cloud.row_bytes(size, dim, real)
