@@ -131,6 +131,7 @@ class Balance:
     window: int
     wanted: bool = True
     changes: int = 0
+    lost: int = 0  # work of the busiest rank that better cuts would have saved since cuts moved last
     before: float = 1.0  # imbalance when cuts were looked at last, with those cuts
     after: float = 1.0  # and with the cuts that were taken
     best: float = 1.0  # and the best that slabs can do
@@ -157,7 +158,8 @@ class Balance:
         self.moves.append(Move(step, self.before, self.after, self.best, particles, nbytes))
 
     def look(self, work, edges, steps):
-        """New edges, or None where they are not worth it. `work`: (layers,) of all ranks; `steps`: since it was last asked."""
+        """New edges, or None while they are not worth it: cuts move when the busiest rank has lost more to the old ones, since
+        they moved last, than the moving costs. `work`: (layers,) of all ranks; `steps`: since it was last asked."""
         ranks = len(edges) - 1
         now = slab_works(work, edges)
         self.before = self.after = imbalance(now)
@@ -169,9 +171,12 @@ class Balance:
         then = slab_works(work, edges_then)
         self.best = imbalance(then)
         saved = int(now.max() - then.max())
-        if saved <= WORTH * then.max() or saved * steps <= MOVE_WORK * moved(work, edges, edges_then):
+        if saved <= WORTH * then.max():
             return None
-        self.changes += 1
+        self.lost += saved * steps
+        if self.lost <= MOVE_WORK * moved(work, edges, edges_then):
+            return None
+        self.changes, self.lost = self.changes + 1, 0
         self.after = self.best
         return edges_then
 

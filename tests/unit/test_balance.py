@@ -52,7 +52,7 @@ def test_fewer_ranks_are_taken_where_more_would_make_the_busiest_busier():
 
 
 @pytest.mark.parametrize(("steps", "moves"), [(10, False), (1000, True)])
-def test_cuts_move_when_what_they_save_until_they_are_looked_at_again_is_more_than_the_moving_costs(steps, moves):
+def test_cuts_move_when_they_have_cost_more_than_the_moving_costs(steps, moves):
     work = np.full(100, 10_000)
     edges = (0, 40, 100)  # ten layers too many, each of a hundred particles
     balance = Balance((100,), 5)
@@ -61,6 +61,13 @@ def test_cuts_move_when_what_they_save_until_they_are_looked_at_again_is_more_th
     assert (balance.best, balance.changes) == (1.0, int(moves))
     assert balance.after == (1.0 if moves else balance.before)
     assert (100_000 * steps > MOVE_WORK * moved(work, edges, (0, 50, 100))) == moves
+
+
+def test_what_old_cuts_cost_adds_up_until_they_move():
+    work, edges = np.full(100, 10_000), (0, 40, 100)
+    balance = Balance((100,), 5)
+    # 1000 particles move at 1000 each; 100 000 are lost in a step, so that the eleventh is too many.
+    assert [balance.look(work, edges, 1) is not None for _ in range(22)] == ([False] * 10 + [True]) * 2
 
 
 def test_cuts_stay_where_the_balance_is_not_wanted_or_cannot_be_better():
