@@ -1,4 +1,4 @@
-"""Run scenes from the command line and tell two runs apart, byte for byte."""
+"""Tell two runs apart, byte for byte: of scenes from the command line by their files, of simulations by their particles."""
 
 import json
 from pathlib import Path
@@ -100,3 +100,13 @@ def last_points(out):
     """(n, 3) positions in the last snapshot, in m."""
     with h5py.File(sorted((Path(out) / "snapshots").iterdir())[-1]) as file:
         return file["VTKHDF/Points"][...]
+
+
+def state_bits(simulation):
+    """Everything the particles carry, of all ranks in the one global order of each law, and the simulation's numbers."""
+    held, record = simulation.state().populations, simulation.state().record
+    own = [(p.rows(slice(None)), p.id[p.lanes], p.segment_table()) for p in held]
+    everyone = simulation.comm.gather(own)
+    return [
+        [b"".join(rank[law][part].tobytes() for rank in everyone) for part in range(3)] for law in range(len(own))
+    ], record

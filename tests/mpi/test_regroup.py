@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import several_laws
 from mpi4py import MPI
+from random_cuts import random_edges
 
 from pmpm.parallel.comm import World
 from pmpm.simulation import Simulation
@@ -30,15 +31,6 @@ NAMES = [
 @pytest.fixture(params=SCENES)
 def scene(request):
     return SCENES[request.param]()
-
-
-def random_edges(simulation, random):
-    """Legal edges for as many ranks as the domain has room for, or fewer."""
-    layers, window, ranks = simulation.geometry.layers, simulation.needs.stencil.window, COMM.size
-    active = int(random.integers(1, min(ranks, layers // window) + 1))
-    spare = np.sort(random.integers(0, layers - active * window + 1, active - 1))
-    inner = [int(edge) for edge in spare + window * np.arange(1, active)]
-    return (0, *inner, *[layers] * (ranks + 1 - active))
 
 
 def everything(simulation):

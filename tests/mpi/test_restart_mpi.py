@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 import several_laws
+from bits import state_bits as bits
 from mpi4py import MPI
 from test_drive_mpi import scene as driven
 
@@ -22,16 +23,6 @@ BEFORE, AFTER = 37, 60
 @pytest.fixture
 def path(tmp_path):
     return COMM.broadcast(tmp_path) / "a.hdf"
-
-
-def bits(simulation):
-    """Everything the particles carry, of all ranks in the one global order of each law, and the simulation's numbers."""
-    held, record = simulation.state().populations, simulation.state().record
-    own = [(p.rows(slice(None)), p.id[p.lanes], p.segment_table()) for p in held]
-    everyone = simulation.comm.gather(own)
-    return [
-        [b"".join(rank[law][part].tobytes() for rank in everyone) for part in range(3)] for law in range(len(own))
-    ], record
 
 
 def run_on(comm, path, scene):
