@@ -10,6 +10,7 @@ import traceback
 from pmpm import __version__
 
 FINISHED, FAILED, WRONG_INPUT, STOPPED = 0, 1, 2, 3
+MOST_THREADS = 1024  # per rank: more than any machine has cores
 BEGAN = time.time()  # from which --walltime counts
 NOT_BUILT = {
     "render": "pictures and a film of a run, without ParaView",
@@ -129,7 +130,7 @@ def parser(rank=0):
     )
     run.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="cuda is not built yet")
     run.add_argument(
-        "--threads", type=int, default=1, metavar="N", help="threads per rank; more than 1 is not built yet"
+        "--threads", type=int, default=1, metavar="N", help="threads per rank; the same bits for any number"
     )
     run.add_argument("--quiet", action="store_true", help="no progress on the screen")
 
@@ -192,10 +193,8 @@ def check_options(options):
         raise SceneError("pmpm run: give a SCENE, or --restart PATH to continue one")
     if options.backend == "cuda":
         raise NotBuilt("--backend cuda is not built yet")
-    if options.threads != 1:
-        if options.threads < 1:
-            raise SceneError(f"--threads {options.threads}: must be at least 1")
-        raise NotBuilt(f"--threads {options.threads} is not built yet: start more ranks instead")
+    if not 1 <= options.threads <= MOST_THREADS:
+        raise SceneError(f"--threads {options.threads}: must be 1 to {MOST_THREADS}")
     for value, name in ((options.until, "--until"), (options.steps, "--steps")):
         if value is not None and not value > 0:
             raise SceneError(f"{name} {value}: must be greater than 0")
@@ -227,7 +226,7 @@ def run_or_go_on(options, comm, early):
     try:
         simulation = run_scene(
             begin.scene, begin.out, comm, options.until, options.steps, overwrite, options.quiet, begin.origin, deadline,
-            early,
+            early, options.threads,
         )  # fmt: skip
     except (NumericalFailure, OutputFailure) as failure:
         return complain(f"stopped: {failure}", comm.rank, FAILED)

@@ -32,22 +32,32 @@ class OutputFailure(Exception):  # noqa: N818
 
 
 def run_scene(
-    scene, out, comm, until=None, steps=None, overwrite=False, quiet=False, origin=None, deadline=None, early=()
+    scene,
+    out,
+    comm,
+    until=None,
+    steps=None,
+    overwrite=False,
+    quiet=False,
+    origin=None,
+    deadline=None,
+    early=(),
+    threads=1,
 ):
     """Run a scene into the folder `out` and return the Simulation. Collective.
 
     `origin`: a restart.Origin to go on from; `deadline`: when to stop by time.time(); `early`: signals that have come
-    before. The run stops early on SIGTERM, SIGINT and SIGUSR1 too, with a checkpoint. Raises SceneError or OutputError before
-    anything is written, NumericalFailure and OutputFailure after the folder has been closed.
+    before; `threads`: per rank. The run stops early on SIGTERM, SIGINT and SIGUSR1 too, with a checkpoint. Raises SceneError
+    or OutputError before anything is written, NumericalFailure and OutputFailure after the folder has been closed.
     """
     folder = on_rank_zero(comm, lambda: restart.check_folder(out, overwrite, origin))
     progress = Progress(scene.time.end, comm, quiet=quiet)
     requests = Requests(comm, deadline, scene.output.checkpoint_wall_interval)
     with requests.listening(early):
         if origin is None:
-            simulation = Simulation(scene, comm, tell=progress.stage)
+            simulation = Simulation(scene, comm, progress.stage, threads=threads)
         else:
-            simulation = Simulation.go_on(origin, scene, comm, tell=progress.stage)
+            simulation = Simulation.go_on(origin, scene, comm, progress.stage, threads)
         directory = open_folder(folder, simulation, origin, overwrite)
         progress.directory = directory
         status, report, outputs = "failed", {}, None

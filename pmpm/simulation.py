@@ -42,8 +42,9 @@ from pmpm.watching import STOP, Observer, Timers, next_count, spread
 class Simulation:
     """A scene being run. `comm`: an mpi4py communicator, or None for this process alone. Collective in all it does.
 
-    `source` fills it with particles: the scene's own bodies, or what a checkpoint holds (see `restart`). Raises SceneError if
-    the scene holds no particles or a fixed time step is beyond the stable one.
+    `source` fills it with particles: the scene's own bodies, or what a checkpoint holds (see `restart`). `threads`: of this
+    rank; results are the same bits for any number. Raises SceneError if the scene holds no particles or a fixed time step is
+    beyond the stable one.
     """
 
     def __init__(self, scene, comm=None, tell=None, source=None, threads=1):
@@ -70,6 +71,7 @@ class Simulation:
         self.failed: list[tuple[int, int, int, int]] = []  # (law, block, lane, cause) in this step, first of each range
         self.failure: dict | None = None
         self.energies_ready = False  # their kernels are compiled, or loaded, when the guard first asks for them
+        self.halo_sent = np.zeros(2, np.int64)  # messages and bytes
         self.regroups, self.sent, self.sent_bytes = 0, np.zeros(self.comm.size, np.int64), 0
         self.timers = Timers()
         self.stretch = [0, 0.0]  # steps since this process began, and seconds spent on them without those who watch
@@ -99,21 +101,21 @@ class Simulation:
         self.in_turn(self.warm_up)
 
     @classmethod
-    def restart(cls, path, scene=None, comm=None):
+    def restart(cls, path, scene=None, comm=None, threads=1):
         """Go on from a checkpoint file, or the newest good one of a run directory, on any number of ranks.
 
         `scene`: as it was, with changes that a run may take (see docs/reliability.md), or None to take the checkpoint's own; a
         scene with Python functions must be given. Raises SceneError or OutputError.
         """
         comm = communication.adopt(comm)
-        return cls.go_on(restart.find(path, comm), scene, comm)
+        return cls.go_on(restart.find(path, comm), scene, comm, threads=threads)
 
     @classmethod
-    def go_on(cls, origin, scene=None, comm=None, tell=None):
+    def go_on(cls, origin, scene=None, comm=None, tell=None, threads=1):
         """`restart` from a restart.Origin, which has been found before."""
         scene, comm = scene or restart.scene_of(origin, {}), communication.adopt(comm)
         with restart.opened(origin, scene, comm) as continuation:
-            return cls(scene, comm, tell, continuation)
+            return cls(scene, comm, tell, continuation, threads)
 
     # ---- set-up ----
 
@@ -137,7 +139,7 @@ class Simulation:
             self.needs.f_bar,
             self.crew.threads,
         )
-        self.halo = Halo(self.comm, self.slabs, self.patch, self.kernels)
+        self.halo = Halo(self.comm, self.slabs, self.patch, self.kernels, self.halo_sent)
         self.kept_by_halo = len(self.patch.apart)
         self.walls = patch_walls(self.scene, self.geometry, self.patch, self.real)
         self.drive.meet(self.geometry, self.patch, self.walls)
@@ -701,7 +703,12 @@ class Simulation:
             "stretch": {"steps": self.stretch[0], "seconds": float(self.comm.max(np.array([self.stretch[1]]))[0])},
             "particles": int(self.comm.sum(np.array([self.rows()]))[0]),
             "ranks": self.comm.size,
+            "threads": self.crew.threads,
             "edges": list(self.slabs.edges),
+            "halo": [
+                dict(zip(("messages", "bytes"), map(int, sent), strict=True))
+                for sent in self.comm.gather(self.halo_sent)
+            ],
             "sent": [list(map(int, sent)) for sent in self.comm.gather(self.sent)],
             "sent_bytes": self.comm.gather(self.sent_bytes),
             "regroups": self.regroups,

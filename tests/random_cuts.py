@@ -1,4 +1,4 @@
-"""Scenes that are cut anew at random steps, in random places, and what one process alone makes of them.
+"""Scenes that are cut anew at random steps, in random places, by ranks of some threads, and what one process makes of them.
 
 The scenes are those of tests/fast_and_scalar.py that hold every pair of methods, and of tests/several_laws.py with a periodic
 slab axis. A regroup sorts particles, so that when it comes changes bits; where cuts are does not. So one run alone, which
@@ -62,8 +62,10 @@ def bits_of_one(case, comm):
 
 
 def cut_at_random(case, seed, comm):
-    """(what all ranks end with, the edges they had, particles sent to other ranks) with cuts drawn from a seed. Collective."""
-    simulation, random, edges = Simulation(CASES[case](), comm), np.random.default_rng(seed), []
+    """(what all ranks end with, the edges they had, particles sent to other ranks) with cuts drawn from a seed and one to
+    three threads per rank. Collective."""
+    threads = 1 + (comm.rank + seed) % 3
+    simulation, random, edges = Simulation(CASES[case](), comm, threads=threads), np.random.default_rng(seed), []
     for regroup in regroups():
         if regroup:
             simulation.regroup(edges=None if random.random() < LOOKS else random_edges(simulation, random))

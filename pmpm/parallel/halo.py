@@ -42,17 +42,17 @@ class Halo:
     """Exchanges the shared planes of one rank's patch. Buffers are allocated once per set of cuts; `lay_out` follows the nodes.
 
     The rank that sums before another one at a cut sends what it has summed, the other what P2G has kept apart for it.
+    `sent`: counts messages and bytes.
     """
 
-    def __init__(self, comm, slabs, patch, kernels):
+    def __init__(self, comm, slabs, patch, kernels, sent=None):
         self.comm, self.patch, self.kernels = comm, patch, kernels
-        self.sums, self.unsummed = (
-            [],
-            [],
-        )  # what is sent: (peer, tag, message, first plane) and (peer, tag, message, pairs)
-        self.as_earlier, self.as_later = [], []  # what is received: (peer, tag, message, planes, pairs that follow)
+        self.sums: list[tuple] = []  # sent: (peer, tag, message, first plane)
+        self.unsummed: list[tuple] = []  # sent: (peer, tag, message, pairs)
+        self.as_earlier: list[tuple] = []  # received: (peer, tag, message, planes, pairs that follow)
+        self.as_later: list[tuple] = []
         self.low_shared = self.high_shared = False
-        self.messages = self.bytes = 0  # sent since the beginning
+        self.sent = np.zeros(2, np.int64) if sent is None else sent
         rows, quads, real = patch.rows, patch.row_quads, patch.real
         for number, cut in enumerate(slabs.cuts):
             sums_tag, unsummed_tag = 2 * number, 2 * number + 1
@@ -99,7 +99,7 @@ class Halo:
             first += len(pairs)
         sends = [(peer, tag, message.used) for peer, tag, message, _ in (*self.sums, *self.unsummed)]
         receives = [(peer, tag, message.bytes) for peer, tag, message, *_ in (*self.as_earlier, *self.as_later)]
-        self.step_bytes = sum(len(sent) for _, _, sent in sends)
+        self.each_time = np.array([len(sends), sum(len(sent) for _, _, sent in sends)])
         self.exchange = self.comm.exchange(sends, receives)
 
     def warm_up(self):
@@ -114,8 +114,7 @@ class Halo:
         """Send the shared planes on their way."""
         for room, values in self.outgoing:
             room[:] = values
-        self.messages += len(self.outgoing)
-        self.bytes += self.step_bytes
+        self.sent += self.each_time
         self.exchange.start()
 
     def wait(self):

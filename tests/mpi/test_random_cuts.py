@@ -1,4 +1,4 @@
-"""Cuts drawn at random, at random steps, give the bits of one rank: all splines and transfers, laws together, 2-D and 3-D.
+"""Cuts drawn at random, at random steps, and threads give the bits of one rank: all splines and transfers, 2-D and 3-D.
 
 tests/by_hand/random_cuts_all.py draws twenty sequences for each scene, on up to seven ranks.
 """
@@ -16,7 +16,7 @@ SEQUENCES = 2  # of cuts, of each scene: twenty in all
 
 
 @pytest.mark.parametrize("case", random_cuts.FEW)
-def test_random_cuts_give_the_bits_of_one_rank(case):
+def test_random_cuts_and_threads_give_the_bits_of_one_rank(case):
     expected = random_cuts.bits_of_one(case, COMM)
     for seed in range(SEQUENCES):
         found, edges, sent = random_cuts.cut_at_random(case, seed, COMM)
