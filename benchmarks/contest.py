@@ -123,12 +123,16 @@ class Child:
         return message
 
     def ask(self, **command):
+        self.tell(**command)
+        return self.read()
+
+    def tell(self, **command):
+        """Say what to do, and do not wait for the answer."""
         try:
             self.process.stdin.write(json.dumps(command) + "\n")
             self.process.stdin.flush()
         except BrokenPipeError:
             raise ContestantError(self.last_words()) from None
-        return self.read()
 
     def last_words(self):
         self.process.wait()

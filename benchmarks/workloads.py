@@ -31,11 +31,13 @@ class Workload:
     """One case: `name` W1 jelly (neo-Hookean), W2 sand (Drucker-Prager), W3 water (J alone); `cells` per metre.
 
     In 2-D the domain is 5 x 5 and the block 4 x 4, with the same cell size, step and speeds: 1.05e6 particles at 128 cells.
+    `length`: blocks one after the other along x, without a gap, in a domain that is longer by as much.
     """
 
     name: str
     cells: int = 128
     dim: int = 3
+    length: int = 1
 
     @property
     def cell_size(self):
@@ -58,8 +60,19 @@ class Workload:
         return 2**self.dim
 
     @property
+    def domain_shape(self):
+        """Cells along each axis."""
+        longer = (self.length - 1) * self.block_cells
+        return (self.domain_cells + longer, *[self.domain_cells] * (self.dim - 1))
+
+    @property
+    def block_shape(self):
+        """Cells along each axis."""
+        return (self.block_cells * self.length, *[self.block_cells] * (self.dim - 1))
+
+    @property
     def particles(self):
-        return self.block_cells**self.dim * self.particles_per_cell
+        return math.prod(self.block_shape) * self.particles_per_cell
 
     @property
     def volume(self):
@@ -90,7 +103,7 @@ def start(workload, fast=False, seed=0):
     random = np.random.default_rng(seed)
     count, dim, cell = workload.particles, workload.dim, workload.cell_size
     edge = workload.block_cells * cell
-    x = workload.first_cell * cell + edge * random.random((count, dim))
+    x = workload.first_cell * cell + np.array(workload.block_shape) * cell * random.random((count, dim))
     base = np.floor(x / cell - 0.5).astype(np.int64)
     x = x[np.lexsort(base.T[::-1])].astype(np.float32)
     v = velocity((x - x.mean(axis=0)) / edge)
@@ -108,7 +121,7 @@ def start(workload, fast=False, seed=0):
 
 
 def velocity(place):
-    """(n, dim) m/s at places in the block, -1/2 .. 1/2 along each axis."""
+    """(n, dim) m/s at places around the middle, in edges of one block."""
     parts = [-0.8 * place[:, 1], 0.8 * place[:, 0] - 1.0]
     if place.shape[1] == 3:
         parts.append(np.sin(8.0 * place[:, 2]))

@@ -38,12 +38,12 @@ def scene(workload, precision, shape_function, own_law):
     if own_law:
         material = {"model": neo_hookean_of_my_own, "density": DENSITY, "mu": MU, "lam": LAM}
     dim, cell = workload.dim, workload.cell_size
-    low, high = (cell * c for c in (workload.first_cell, workload.first_cell + workload.block_cells))
-    box = {"type": "box", "min": [low] * dim, "max": [high] * dim}
+    low, high = [workload.first_cell] * dim, [workload.first_cell + cells for cells in workload.block_shape]
+    box = {"type": "box", "min": [cell * c for c in low], "max": [cell * c for c in high]}
     return pmpm.Scene(
         title=f"{workload.name}: a block of {workload.particles} particles",
         domain={
-            "size": [workload.domain_cells * cell] * dim,
+            "size": [cells * cell for cells in workload.domain_shape],
             "cell_size": cell,
             "gravity": [0.0, GRAVITY, 0.0][:dim],
         },
@@ -155,6 +155,7 @@ def main():
     options.add_argument("name", help="W1, W2 or W3")
     options.add_argument("cells", type=int)
     options.add_argument("--dim", type=int, default=3)
+    options.add_argument("--length", type=int, default=1, help="blocks one after the other")
     options.add_argument("--precision", default="float32")
     options.add_argument("--shape-function", default="quadratic")
     options.add_argument("--own-law", action="store_true", help="W1 with a law given as a Python function")
@@ -167,7 +168,7 @@ def main():
 
         comm = MPI.COMM_WORLD
         cores = [cores[comm.rank]]
-    workload = Workload(given.name, given.cells, given.dim)
+    workload = Workload(given.name, given.cells, given.dim, given.length)
     chosen = given.precision, given.shape_function, given.own_law, given.shuffled
     contest.serve(lambda: PmpmSteps(workload, *chosen, comm), cores, comm)
 

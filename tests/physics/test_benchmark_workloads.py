@@ -43,3 +43,14 @@ def test_the_fast_block_stays_below_the_limit_of_motion(dim):
     workload = workloads.Workload("W1", cells=8, dim=dim)
     cells = np.linalg.norm(workloads.start(workload, fast=True).v, axis=1) * workloads.STEP / workload.cell_size
     assert cells.max() == pytest.approx(workloads.FAST, rel=1e-6)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_longer_workload_is_one_block_after_the_other(dim):
+    """Twice the particles at the same density: half of them in either half, by the law of large numbers."""
+    one, two = (workloads.Workload("W3", cells=8, dim=dim, length=length) for length in (1, 2))
+    start = workloads.start(two)
+    middle = (two.first_cell + two.block_cells) * two.cell_size
+    assert len(start.x) == two.particles == 2 * one.particles
+    assert np.mean(start.x[:, 0] < middle) == pytest.approx(0.5, abs=3.0 * 0.5 / np.sqrt(two.particles))
+    assert two.domain_shape[0] - two.block_shape[0] == one.domain_shape[0] - one.block_shape[0]

@@ -1,15 +1,16 @@
-"""The table of runs on different numbers of ranks, from their run.json."""
+"""Scaling of a scene on different numbers of ranks, and the table of runs from their run.json."""
 
 import json
 
-import job
 import launch
 import pytest
 import several_laws
 
+SCALING = launch.ROOT / "benchmarks" / "scaling.py"
+
 
 def table_of(*folders):
-    return launch.python([job.JOBS / "scaling_table.py", *folders])
+    return launch.python([SCALING, "table", *folders])
 
 
 def rows(text):
@@ -53,7 +54,7 @@ def test_a_run_that_did_not_end_is_named(tmp_path):
     done = table_of(tmp_path)
     assert (done.status, done.text) == (
         1,
-        f"scaling_table: {tmp_path}/run.json: the run is running and tells of no steps\n",
+        f"scaling: {tmp_path}/run.json: the run is running and tells of no steps\n",
     )
 
 
@@ -65,3 +66,25 @@ def test_steps_before_a_restart_do_not_count(tmp_path):
         done = launch.python([*run, steps], folder=tmp_path)
         assert done.status == 0, done.text
     assert rows(table_of(tmp_path / "run").text)[0][4] == "4"
+
+
+def test_strong_scaling_takes_turns_and_leaves_table_and_csv(tmp_path):
+    scene, out = tmp_path / "drop.toml", tmp_path / "scaling"
+    scene.write_text(several_laws.short().to_toml(), encoding="utf-8")
+    done = launch.python([SCALING, "strong", scene, "--ranks", "1,2", "--steps", 5, "--rounds", 2, "--out", out])
+    assert done.status == 0, done.text
+    told = [line.split(",")[:2] for line in done.text.splitlines() if "] round " in line]
+    assert [[round_.split("] ")[1], ranks.split(":")[0]] for round_, ranks in told] == [
+        ["round 1 of 2", " 1 ranks"], ["round 1 of 2", " 2 ranks"], ["round 2 of 2", " 1 ranks"], ["round 2 of 2", " 2 ranks"],
+    ]  # fmt: skip
+    assert [row[:2] for row in rows((out / "table.md").read_text())] == [["1", "1"], ["2", "2"]]
+    assert len((out / "runs.csv").read_text().splitlines()) == 1 + 4
+
+
+def test_a_run_that_fails_is_told_with_its_last_words(tmp_path):
+    scene = tmp_path / "drop.toml"
+    scene.write_text(several_laws.short().to_toml(), encoding="utf-8")
+    (tmp_path / "scaling").write_text("no folder")
+    done = launch.python([SCALING, "strong", scene, "--ranks", "1", "--quick", "--out", tmp_path / "scaling"])
+    assert done.status == 1
+    assert "FAILED: 1 ranks ended with status 2: pmpm: " in done.text

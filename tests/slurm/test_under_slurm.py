@@ -50,7 +50,7 @@ class Jobs:
         self.environment = job.environment(job.commands(folder))
 
     def submit(self, script, *arguments, options=(), **environment):
-        where = {"TABLE": job.JOBS / "scaling_table.py", "LONG_RUN": job.JOBS / "long_run.sh"}
+        where = {"SCALING": job.JOBS.parent / "benchmarks" / "scaling.py", "LONG_RUN": job.JOBS / "long_run.sh"}
         where |= {"SCENE": job.JOBS / "weak_scaling.toml"} if script == "weak_scaling.sh" else {}
         surroundings = self.environment | {name: str(path) for name, path in where.items()} | environment
         options = [f"--ntasks={RANKS}", f"--output={self.folder}/log", *options]
@@ -123,7 +123,7 @@ def test_scaling_runs_on_1_and_2_ranks_and_gives_a_table(script, jobs, scene_fil
     out = tmp_path / "scaling"
     coarse = ["--set", "domain.cell_size=0.04"]
     arguments = [scene_file, out] if script == "strong_scaling.sh" else [out, *coarse]
-    ended = jobs.slurm.ended(jobs.submit(script, *arguments, STEPS="20"), SOON)
+    ended = jobs.slurm.ended(jobs.submit(script, *arguments, STEPS="20", ROUNDS="1"), SOON)
     assert ended.status == 0, jobs.log()
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in (out / "table.md").read_text().splitlines()]
     particles = [int(row[3]) for row in rows[2:]]
