@@ -18,11 +18,14 @@ def migrate(loose, slab_axis, slabs, comm):
     pieces: list[list[bytes]] = [[] for _ in range(comm.size)]
     for particles in loose:
         owner = slabs.owner(particles.homes[slab_axis])
+        stays = owner == comm.rank
+        leaving = np.flatnonzero(~stays)
+        goes_to = owner[leaving]  # few, so that a look for each rank costs little
         for rank in range(comm.size):
-            leaving = np.flatnonzero(owner == rank) if rank != comm.rank else np.zeros(0, np.int64)
-            pieces[rank] += [np.int64(len(leaving)).tobytes(), particles.take(leaving).to_bytes()]
-            sent[rank] += len(leaving)
-        particles.keep(owner == comm.rank)
+            rows = leaving[goes_to == rank]
+            pieces[rank] += [np.int64(len(rows)).tobytes(), particles.take(rows).to_bytes()]
+            sent[rank] += len(rows)
+        particles.keep(stays)
     received = comm.exchange_pieces([b"".join(piece) for piece in pieces])
 
     arrived: list[tuple[list[Cloud], list[Cloud]]] = [([cloud], [cloud]) for cloud in nothing]
