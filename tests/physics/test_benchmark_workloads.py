@@ -53,4 +53,5 @@ def test_a_longer_workload_is_one_block_after_the_other(dim):
     middle = (two.first_cell + two.block_cells) * two.cell_size
     assert len(start.x) == two.particles == 2 * one.particles
     assert np.mean(start.x[:, 0] < middle) == pytest.approx(0.5, abs=3.0 * 0.5 / np.sqrt(two.particles))
+    assert one.domain_shape == (one.domain_cells,) * dim
     assert two.domain_shape[0] - two.block_shape[0] == one.domain_shape[0] - one.block_shape[0]
