@@ -25,7 +25,12 @@ from pmpm.parallel.slabs import Slabs
 from pmpm.timestep import EVERY, LAG
 
 NODE_REALS = 4  # momentum and mass
-HEADER = 32  # bytes of a message per plane: its box of four integers
+QUAD = 4  # nodes of a row that travel together
+PER_PLANE, PER_ROW, HEAD = (
+    8,
+    12,
+    64,
+)  # bytes a message tells each plane and each full row in, and a multiple that they fill
 NODE_COST = NODE_WORK / 100  # of one node that a rank updates beside its neighbour, in particle-steps
 REDUCED = 2 * 8 * 7  # bytes of a step's reduction, there and back: seven float64
 CONSTANTS = Path(__file__).with_name("scaling_constants.json")
@@ -36,9 +41,11 @@ CUT_COPIES = 2  # a byte that is packed or unpacked is read once and written onc
 # ---- counts ----------------------------------------------------------------------------------------------------------------
 
 
-def message_bytes(planes, plane_nodes, real_bytes):
-    """Bytes of one message of so many planes, all `plane_nodes` nodes of each occupied."""
-    return planes * (HEADER + plane_nodes * NODE_REALS * real_bytes)
+def message_bytes(planes, plane, real_bytes):
+    """Bytes of one message of so many planes of (rows, nodes of a row), all of them occupied."""
+    rows, nodes = plane
+    head = -(-planes * (PER_PLANE + PER_ROW * rows) // HEAD) * HEAD
+    return head + planes * rows * -(-nodes // QUAD) * QUAD * NODE_REALS * real_bytes
 
 
 def halo_messages(slabs, exchanges=1):
@@ -50,15 +57,15 @@ def halo_messages(slabs, exchanges=1):
     return sent
 
 
-def halo_bytes(slabs, plane_nodes, real_bytes, exchanges=1):
+def halo_bytes(slabs, plane, real_bytes, exchanges=1):
     """(ranks,) bytes that each rank sends per step if every node of the shared planes is occupied.
 
-    plane_nodes: M x K nodes of a plane; real_bytes: 4 or 8.
+    plane: (M, K), rows of a plane and nodes of a row; real_bytes: 4 or 8.
     """
     sent = np.zeros(len(slabs.edges) - 1, np.int64)
     for cut in slabs.cuts:
-        sent[cut.earlier] += exchanges * message_bytes(cut.planes, plane_nodes, real_bytes)
-        sent[cut.later] += exchanges * message_bytes(len(cut.unsummed), plane_nodes, real_bytes)
+        sent[cut.earlier] += exchanges * message_bytes(cut.planes, plane, real_bytes)
+        sent[cut.later] += exchanges * message_bytes(len(cut.unsummed), plane, real_bytes)
     return sent
 
 
@@ -197,12 +204,12 @@ def surface(block, split, exchanges=1, reach=QUADRATIC):
     for axis, parts in enumerate(split.parts):
         if parts == 1:
             continue
-        face = math.prod(size + sum(reach) for other, size in enumerate(local) if other != axis)
-        out, back = (summed + unsummed,) * 2 if parts > 2 else (unsummed, summed)
+        plane = tuple(size + sum(reach) for other, size in enumerate(local) if other != axis)
+        out, back = ((summed, unsummed),) * 2 if parts > 2 else ((unsummed,), (summed,))
         cuts = min(parts - 1, 2)
-        nodes += cuts * summed * face
-        sent += exchanges * message_bytes(out, face, block.real_bytes)
-        received += exchanges * message_bytes(back, face, block.real_bytes)
+        nodes += cuts * summed * math.prod(plane)
+        sent += exchanges * sum(message_bytes(planes, plane, block.real_bytes) for planes in out)
+        received += exchanges * sum(message_bytes(planes, plane, block.real_bytes) for planes in back)
         messages += exchanges * cuts
     return Surface(nodes, sent, received, messages)
 

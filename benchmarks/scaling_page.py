@@ -6,9 +6,9 @@ from pathlib import Path
 import machine
 from scaling_machines import ALL, FRONTIER, FRONTIER_GPUS
 from scaling_model import (
-    HEADER,
     NODE_COST,
     NODE_REALS,
+    QUAD,
     Block,
     Split,
     best_bricks,
@@ -249,7 +249,7 @@ def facts(constants):
     layers, largest = cubes[1e8].cells[0], largest_part(cubes[1e8], on_32[0])[0]
     side, across = cubes[1e6].cells[0] / window, FRONTIER.units ** (1.0 / 3.0)
     return {
-        "machine": machine.text(), "source": constants.source, "law": LAW, "picture": PICTURE, "header": HEADER,
+        "machine": machine.text(), "source": constants.source, "law": LAW, "picture": PICTURE, "quad": QUAD,
         "window": window, "summed": summed, "planes": planes, "plain": 2 * summed, "units": FRONTIER.units,
         "sizes": listed(map(number, SIZES)), "most": listed(most.values()), "most_1e9": most[1e9],
         "alone": listed(f"{value:.0%}" for value in alone), "fills": number(8 * (window * FRONTIER.units) ** 3),

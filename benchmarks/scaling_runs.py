@@ -215,11 +215,9 @@ def theory(folder, report):
         return None
     if slabs.active == 1:
         return 0, 0
-    plane_nodes = 1
-    for axis in others:
-        plane_nodes *= 1 if axis < 0 else geometry.extent(axis)
+    plane = tuple(1 if axis < 0 else geometry.extent(axis) for axis in others)
     exchanges = scaling_model.halo_exchanges(needs.scheme.blends, needs.f_bar)
     real_bytes = 4 if needs.precision == "float32" else 8
     messages = scaling_model.halo_messages(slabs, exchanges)
-    size = scaling_model.halo_bytes(slabs, plane_nodes, real_bytes, exchanges)
+    size = scaling_model.halo_bytes(slabs, plane, real_bytes, exchanges)
     return int(messages.sum()), int(size.sum())

@@ -12,7 +12,7 @@ from scaling_model import Block, Constants, LawCost, Link, Machine, Split
 
 from pmpm.parallel.slabs import Slabs
 
-PLANE = 13 * 14  # nodes
+PLANE = 13, 14  # rows, nodes of a row
 LAW = LawCost(particle=1e-6, regroup=4e-6, held=100, moved=300)
 CONSTANTS = Constants({"W1": LAW}, step=0.0, every=40.0, copy=1e9, local=Link(1e-6, 1e9), file_bytes=100.0, source="")
 MACHINE = Machine("two cores a node", units=2, memory=1e12, links=1, link=Link(1e-5, 1e8), sources=())
@@ -50,9 +50,11 @@ def test_flip_and_f_bar_exchange_once_more_each(blends, f_bar, exchanges):
 
 
 @pytest.mark.parametrize("real_bytes", [4, 8])
-def test_a_node_is_four_reals_and_a_plane_has_32_bytes_besides(real_bytes):
-    plane = 32 + PLANE * 4 * real_bytes
-    assert list(model.halo_bytes(SLABS_OF_10, PLANE, real_bytes)) == [4 * plane, 14 * plane, 10 * plane]
+def test_full_rows_travel_by_four_nodes_of_four_reals_with_their_spans_before_them(real_bytes):
+    """A plane of 13 rows of 16 nodes; 8 bytes per plane and 12 per row, 656 and 1640 of them, fill whole lines of 64."""
+    nodes = 13 * 16 * 4 * real_bytes
+    up, down = 704 + 4 * nodes, 1664 + 10 * nodes
+    assert list(model.halo_bytes(SLABS_OF_10, PLANE, real_bytes)) == [up, up + down, down]
 
 
 def test_bytes_do_not_depend_on_the_width_of_slabs():
@@ -64,7 +66,7 @@ def test_bytes_do_not_depend_on_the_width_of_slabs():
 def test_the_model_sends_what_slabs_send(ranks):
     """A layer's particles reach two nodes beyond their cell on either side."""
     edges = tuple(10 * rank for rank in range(ranks + 1))
-    counted = model.halo_bytes(Slabs(10 * ranks, False, 2, 2, edges), (6 + 4) * (7 + 4), 4)
+    counted = model.halo_bytes(Slabs(10 * ranks, False, 2, 2, edges), (6 + 4, 7 + 4), 4)
     assert model.surface(Block((10 * ranks, 6, 7)), Split((ranks, 1, 1))).sent == counted.max()
 
 
@@ -81,13 +83,13 @@ def test_one_rank_computes_and_regroups_and_nothing_else():
 def test_the_time_of_two_slabs_is_the_sum_of_its_parts():
     """8000 particles each; 14 x 14 nodes in a plane; the upper rank sends ten planes and receives four."""
     found = seconds(Block((20, 10, 10)), Split((2, 1, 1)))
-    plane = 32 + 14 * 14 * 16
+    up, down = (head + planes * 14 * 16 * 16 for head, planes in ((704, 4), (1792, 10)))
     regroup = 8000 * 4e-6 + 1 * (3e-6 + 4.0 * 2 / 1e9) + 0.5 * 100 * 8 * 100 / 1e9
     expected = {
         "compute": 8000 * 1e-6,
         "ghost nodes": 4 * 14 * 14 * model.NODE_COST * 1e-6,
-        "packing": 2 * 14 * plane / 1e9,
-        "messages": 1e-6 + 10 * plane / 1e9,
+        "packing": 2 * (up + down) / 1e9,
+        "messages": 1e-6 + down / 1e9,
         "regroup": regroup / 40.0,
         "fixed": 0.0,
         "reductions": 0.0,
