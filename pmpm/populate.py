@@ -6,7 +6,6 @@ import numpy as np
 
 from pmpm import estimate
 from pmpm.kernels import targets
-from pmpm.parallel.regroup import migrate
 from pmpm.scene import geostatic, seeding, start
 from pmpm.scene.errors import SceneError
 from pmpm.scene.functions import Unfit
@@ -14,44 +13,105 @@ from pmpm.scene.messages import value_text
 from pmpm.scene.needs import law_of_body
 from pmpm.scene.schema import ROUNDING
 from pmpm.state.derived import DENSITY, PARAMETERS
-from pmpm.state.particles import Cloud, Loose
+from pmpm.state.particles import Cloud, layer_groups
+
+KEYS = (
+    "velocity",
+    "stress",
+    "deformation",
+    "displacement",
+)  # functions of a body, in the order in which they are called
 
 
 class Beginning:
     """Fills a simulation with what its scene begins with; restore.Continuation is the other way to begin."""
 
     def count_per_layer(self, simulation):
-        return count_per_layer(simulation)
+        """(layers, laws) particles over all ranks; each rank counts an equal share of the layers. Collective.
+
+        Raises SceneError where there are more than fit into memory, where a body gets none, and for a load on nothing.
+        """
+        scene, comm, geometry = simulation.scene, simulation.comm, simulation.geometry
+        estimate.refuse_memory(scene, simulation.needs, geometry, comm)
+        first, last = (geometry.layers * r // comm.size for r in (comm.rank, comm.rank + 1))
+        counts, loaded = map(comm.sum, counted(scene, geometry, first, last))
+        refuse_empty(counts.sum(axis=1))
+        self.loads = load_accelerations(scene, loaded)
+        laws = [simulation.needs.laws.index(law_of_body(scene, body)) for body in scene.bodies]
+        self.counts = np.zeros((geometry.layers, len(simulation.needs.laws)), np.int64)
+        np.add.at(self.counts.T, laws, counts)
+        return self.counts
 
     def fill(self, simulation):
-        """Give every rank the particles that start in its layers. Collective. Raises SceneError."""
-        seeds = seeding.seed(simulation.scene, simulation.geometry, simulation.first_layer, simulation.last_layer)
-        loads = load_accelerations(simulation, seeds)
-        seeded = [Loose.of_rows(cloud(simulation, law, seeds, loads)) for law in range(len(simulation.needs.laws))]
-        arrived, _ = migrate(
-            seeded, simulation.geometry.axes[0], simulation.slabs, simulation.comm
-        )  # of displaced bodies
-        simulation.settle_in(seeded, arrived)
+        """Give every rank the particles that start in its layers, one group of layers after another. Collective. Raises
+        SceneError, on all ranks, where a function of the scene fails or a particle starts outside the domain."""
+        scene, counts = simulation.scene, self.counts[simulation.first_layer : simulation.last_layer]
+        groups = list(layer_groups(counts.sum(axis=1), simulation.first_layer))
+        complaints: dict[tuple[int, int], str] = {}
+        displaced = [body.displacement is not None for body in scene.bodies]
+        moved = self.seeded(simulation, [groups], displaced, complaints) if any(displaced) else None
+        in_place = self.seeded(simulation, [[group] for group in groups], np.logical_not(displaced), complaints)
+        simulation.hold(zip(groups, in_place, strict=True), moved and next(moved), counts.sum(axis=0))
+        told = {key: text for rank in reversed(simulation.comm.gather(complaints)) for key, text in rank.items()}
+        if told:  # lower ranks own lower layers, so that the first complaint is the same for any number of ranks
+            raise SceneError(told[min(told)])
         simulation.note_loads()
         simulation.changed_by_hand()
         simulation.dt = simulation.control.choose(simulation.time, simulation.drive.acceleration(simulation.time))
         estimate.refuse_steps(simulation.scene.time, simulation.dt)
 
+    def seeded(self, simulation, batches, wanted, complaints):
+        """Yield the particles of each law of one batch of groups of layers after another, as Clouds; of the bodies that are
+        `wanted`. Complaints are kept by (number of the law, body, key)."""
+        scene, geometry = simulation.scene, simulation.geometry
+        around = seeding.surroundings(scene)
+        groups = [group for batch in batches for group in batch]
+        bodies = {n: seeding.seed(scene, geometry, n, groups, around) for n in np.flatnonzero(wanted)}
+        for batch in batches:
+            found = [[Cloud.room(0, layout.size, geometry.dim, simulation.real)] for layout in simulation.layouts]
+            for number, seeds in bodies.items():
+                law = simulation.needs.laws.index(law_of_body(scene, scene.bodies[number]))
+                found[law] += [self.cloud(simulation, law, number, next(seeds), complaints) for _ in batch]
+            yield [Cloud.join(clouds) for clouds in found]
 
-def count_per_layer(simulation):
-    """(layers, laws) particles over all ranks; each rank counts an equal share of the layers. Collective.
+    def cloud(self, simulation, law, number, seeds, complaints):
+        """Seeds of a body as rows; displaced ones lie in layers of any rank."""
+        layout, geometry, body = simulation.layouts[law], simulation.geometry, simulation.scene.bodies[number]
+        seeds = seeds.take(by_layer(simulation, seeds))
+        count = len(seeds.id)
+        reals = np.zeros((count, layout.size), simulation.real)
+        seeded = Cloud(reals, seeds.node, np.full(count, number, np.int32), seeds.id)
+        key, offset = "", seeds.offset
+        if count:
+            try:
+                key = "velocity"
+                reals[:, layout.where("v")] = vectors(geometry, seeds, body.velocity)
+                key = "stress" if body.stress is not None else "deformation"
+                reals[:, layout.state_first :] = first_states(simulation, law, number, seeds)
+                if body.displacement is not None:
+                    key = "displacement"
+                    seeded.node, offset = displaced(geometry, body, seeds)
+                seeded.places[:, : simulation.dim] = simulation.needs.places.from_cells(offset)
+            except Unfit as complaint:
+                complaints.setdefault((law, number, KEYS.index(key)), complaint_text(number, body, key, complaint))
+        if layout.where("load"):
+            reals[:, layout.where("load")] = loads_on(simulation.scene, geometry, self.loads[:, number], seeds)
+        if layout.where("X"):
+            reals[:, layout.where("X")] = reference_positions(geometry, seeds)
+        return seeded
 
-    Raises SceneError where there are more than fit into memory, and where a body gets none.
-    """
-    estimate.refuse_memory(simulation.scene, simulation.needs, simulation.geometry, simulation.comm)
-    layers = simulation.geometry.layers
-    first, last = (layers * r // simulation.comm.size for r in (simulation.comm.rank, simulation.comm.rank + 1))
-    counts = simulation.comm.sum(seeding.count_per_layer(simulation.scene, simulation.geometry, first, last))
-    refuse_empty(counts.sum(axis=1))
-    laws = [simulation.needs.laws.index(law_of_body(simulation.scene, body)) for body in simulation.scene.bodies]
-    found = np.zeros((layers, len(simulation.needs.laws)), np.int64)
-    np.add.at(found.T, laws, counts)
-    return found
+
+def counted(scene, geometry, first, last):
+    """((bodies, layers), (loads, bodies)): how many particles there will be in each of the layers first .. last - 1, zero in
+    others, and how many of them each load acts on."""
+    counts = np.zeros((len(scene.bodies), geometry.layers), np.int64)
+    loaded, around = np.zeros((len(scene.loads), len(scene.bodies)), np.int64), seeding.surroundings(scene)
+    for number in range(len(scene.bodies)):
+        for _, seeds in seeding.seed_planes(scene, geometry, number, first, last, around):
+            seeding.add_counts(counts[number], seeds.node[:, geometry.axes[0]])
+            for which, load in enumerate(scene.loads):
+                loaded[which, number] += np.count_nonzero(load_acts(load, geometry, seeds))
+    return counts, loaded
 
 
 def refuse_empty(counts):
@@ -72,13 +132,12 @@ def rehearse(scene, geometry):
     counts, loaded = np.zeros(len(scene.bodies), np.int64), np.zeros(len(scene.loads), bool)
     around = seeding.surroundings(scene)
     for number, body in enumerate(scene.bodies):
-        for seeds in seeding.seed_planes(scene, geometry, number, 0, geometry.layers, around):
+        for _, seeds in seeding.seed_planes(scene, geometry, number, 0, geometry.layers, around):
             if not len(seeds.id):
                 continue
             counts[number] += len(seeds.id)
-            places = (seeds.node + seeds.offset) * geometry.cell_size
             for tried in np.flatnonzero(~loaded):
-                loaded[tried] = scene.loads[tried].shape.contains(places).any()
+                loaded[tried] = load_acts(scene.loads[tried], geometry, seeds).any()
             if body.displacement is not None:
                 try:
                     displaced(geometry, body, seeds)
@@ -94,61 +153,33 @@ def load_on_nothing(number):
     return f"scene: loads[{number}].shape holds no particle at the start"
 
 
-def load_accelerations(simulation, seeds):
-    """[(n, dim) m/s2] by the loads, per body for its seeds. Collective. Raises SceneError for a load on nothing."""
-    scene, geometry = simulation.scene, simulation.geometry
-    found = [np.zeros((len(body_seeds.id), geometry.dim)) for body_seeds in seeds]
-    volumes = [geometry.cell_size**geometry.dim / body.particles_per_cell for body in scene.bodies]
+def load_acts(load, geometry, seeds):
+    """(n,) whether a load acts on seeds."""
+    return load.shape.contains((seeds.node + seeds.offset) * geometry.cell_size)
+
+
+def load_accelerations(scene, counts):
+    """(loads, bodies, dim) m/s2 of each load on the particles of each body that it acts on, `counts` (loads, bodies) of them.
+    Raises SceneError for a load on nothing."""
+    found = np.zeros((len(scene.loads), len(scene.bodies), scene.dim))
+    volumes = np.array([scene.domain.cell_size**scene.dim / body.particles_per_cell for body in scene.bodies])
+    densities = np.array([scene.materials[body.material].parameters["density"] for body in scene.bodies])
     for number, load in enumerate(scene.loads):
-        inside = [load.shape.contains((s.node + s.offset) * geometry.cell_size) for s in seeds]
-        counts = simulation.comm.sum(np.array([np.count_nonzero(here) for here in inside]))
-        volume = float(counts @ np.array(volumes))
+        volume = float(counts[number] @ volumes)
         if volume == 0.0:
             raise SceneError(load_on_nothing(number))
-        for body, here, total in zip(scene.bodies, inside, found, strict=True):
-            if load.force is None:
-                total[here] += load.acceleration
-            else:
-                total[here] += np.array(load.force) / (volume * scene.materials[body.material].parameters["density"])
+        found[number] = (
+            load.acceleration if load.force is None else np.array(load.force) / (volume * densities)[:, None]
+        )
     return found
 
 
-def cloud(simulation, law, seeds, loads):
-    """The particles of one law at the start, as rows; displaced ones lie in layers of any rank. Collective.
-
-    Raises SceneError, on all ranks, where a function of the scene fails or a particle starts outside the domain.
-    """
-    layout, parts, complaints = simulation.layouts[law], [], []
-    for number, (body, body_seeds) in enumerate(zip(simulation.scene.bodies, seeds, strict=True)):
-        if law_of_body(simulation.scene, body) != simulation.needs.laws[law]:
-            continue
-        order = by_layer(simulation, body_seeds)
-        body_seeds = body_seeds.take(order)
-        count = len(body_seeds.id)
-        reals = np.zeros((count, layout.size), simulation.real)
-        seeded = Cloud(reals, body_seeds.node, np.full(count, number, np.int32), body_seeds.id)
-        if count:
-            try:
-                key = "velocity"
-                reals[:, layout.where("v")] = vectors(simulation.geometry, body_seeds, body.velocity)
-                key = "stress" if body.stress is not None else "deformation"
-                reals[:, layout.state_first :] = first_states(simulation, law, number, body_seeds)
-                key, offset = "displacement", body_seeds.offset
-                if body.displacement is not None:
-                    seeded.node, offset = displaced(simulation.geometry, body, body_seeds)
-                seeded.places[:, : simulation.dim] = simulation.needs.places.from_cells(offset)
-            except Unfit as complaint:
-                complaints.append(complaint_text(number, body, key, complaint))
-        if layout.where("load"):
-            reals[:, layout.where("load")] = loads[number][order]
-        if layout.where("X"):
-            reals[:, layout.where("X")] = reference_positions(simulation.geometry, body_seeds)
-        parts.append(seeded)
-        # Lower ranks own lower layers, so that the first complaint is the same for any number of ranks.
-        told = [complaint for rank in simulation.comm.gather(complaints) for complaint in rank]
-        if told:
-            raise SceneError(told[0])
-    return Cloud.join([Cloud.empty(layout.size, simulation.dim, simulation.real), *parts])
+def loads_on(scene, geometry, accelerations, seeds):
+    """(n, dim) m/s2 of all loads, `accelerations` (loads, dim) of each, on seeds of one body."""
+    found = np.zeros((len(seeds.id), geometry.dim))
+    for load, acceleration in zip(scene.loads, accelerations, strict=True):
+        found[load_acts(load, geometry, seeds)] += acceleration
+    return found
 
 
 def complaint_text(number, body, key, complaint):

@@ -1,10 +1,13 @@
 """What a simulation tells about its state: fields of its particles in the one global order, and totals over all ranks."""
 
 import math
+from functools import partial
+from itertools import chain
 
 import numpy as np
 
 from pmpm.kernels.needs import labels
+from pmpm.output.datasets import Later
 from pmpm.physics.materials import law_of
 from pmpm.state.derived import MASS
 from pmpm.state.fields import OPTIONAL, Field
@@ -23,8 +26,24 @@ def order_of(populations):
 
 def fields(simulation, names):
     """dict of this rank's rows of each named field, in the one global order: see state.fields.OUTPUT, `x` and `id`."""
-    rows, derived = order(simulation), simulation.derived(simulation.real)
-    return {name: np.concatenate([field(simulation, d, name) for d in derived])[rows] for name in names}
+    groups = [fields_of(simulation, derived, names) for derived in simulation.derived_groups(simulation.real)]
+    return {name: np.concatenate([group[name] for group in groups]) for name in names}
+
+
+def fields_of(simulation, derived, names):
+    """The same of a group of layers; `derived`: of each law."""
+    rows = order_of([of_law.population for of_law in derived])
+    return {name: np.concatenate([field(simulation, of_law, name) for of_law in derived])[rows] for name in names}
+
+
+def fields_later(simulation, names):
+    """dict of each named field as rows that are made when they are written: they may take more than the particles do."""
+    kinds, rows = fields_of(simulation, simulation.no_derived(simulation.real), names), simulation.rows()
+
+    def make(name):
+        return (fields_of(simulation, group, [name])[name] for group in simulation.derived_groups(simulation.real))
+
+    return {name: Later((rows, *k.shape[1:]), k.dtype, partial(make, name)) for name, k in kinds.items()}
 
 
 def field(simulation, derived, name):
@@ -50,19 +69,28 @@ def stored_field(simulation, derived, name):
     return values[:, 0] if values.shape[1] == 1 else values
 
 
-def law_fields(simulation, names):
-    """dict of law -> dict of the named state variables it keeps, over its own particles in order.
+def law_fields_later(simulation, names):
+    """dict of law -> dict of the named state variables it keeps, over its own particles in order, as in `fields_later`.
 
     Laws of one model that were compiled with different choices are told apart by a number: drucker_prager, drucker_prager_2.
     """
     found: dict[str, dict] = {}
     laws = simulation.needs.laws
-    for label, law, derived in zip(labels(laws), laws, simulation.derived(simulation.real), strict=True):
-        own = {f.name for f in law.fields}
-        values = {name: derived.field(name) for name in names if name in own}
+    for law, (label, kind) in enumerate(zip(labels(laws), laws, strict=True)):
+        own = {f.name for f in kind.fields}
+        values = {name: law_field_later(simulation, law, name) for name in names if name in own}
         if values:
-            found[label] = {k: v[:, 0] if v.shape[1] == 1 else v for k, v in values.items()}
+            found[label] = values
     return found
+
+
+def law_field_later(simulation, law, name):
+    def make():
+        return (group[law].field(name) for group in simulation.derived_groups(simulation.real))
+
+    size = simulation.no_derived(simulation.real)[law].field(name).shape[1]
+    rows = Later((len(simulation.populations[law]), size), np.dtype(simulation.real), make)
+    return rows.through(lambda values: values[:, 0]) if size == 1 else rows
 
 
 def measure(simulation):
@@ -72,7 +100,7 @@ def measure(simulation):
     """
     per_layer: dict[str, np.ndarray] = {}
     top, layers = 0.0, simulation.geometry.layers
-    for derived in simulation.derived(np.float64):
+    for derived in chain.from_iterable(simulation.derived_groups(np.float64)):
         layer = derived.population.per_particle(derived.population.block_layer)
         for name, values in derived.totals(simulation.drive.gravity).items():
             added = np.bincount(layer, weights=values, minlength=layers)
@@ -92,7 +120,8 @@ def total_mass(simulation):
     """Of all particles over all ranks, counted: no particle that moves on changes a bit of it. Collective."""
     found = []
     for population, table in zip(simulation.populations, simulation.tables, strict=True):
-        counts = np.bincount(population.per_particle(population.block_row), minlength=len(table))
+        counts = np.zeros(len(table), np.int64)
+        np.add.at(counts, population.segments[:, 2], population.segments[:, 1])
         found.append(simulation.comm.sum(counts) * table[:, MASS])
     return math.fsum(np.concatenate(found))
 
@@ -102,7 +131,7 @@ def crushed(simulation):
     names = simulation.material_names
     counts, smallest = np.zeros(len(names), np.int64), np.full(len(names), np.inf)
     of_body = np.array([names.index(body.material) for body in simulation.scene.bodies])
-    for derived in simulation.derived(np.float64):
+    for derived in chain.from_iterable(simulation.derived_groups(np.float64)):
         J, population = np.abs(derived.J()), derived.population
         material = of_body[population.per_particle(population.block_row)]
         counts += np.bincount(material[J < CRUSHED], minlength=len(names))

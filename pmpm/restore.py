@@ -20,7 +20,8 @@ from pmpm.output.files import OutputError, on_every_rank
 from pmpm.output.layout import snapshot_attributes, topology
 from pmpm.parallel.balance import best_edges
 from pmpm.scene.errors import SceneError
-from pmpm.state.particles import Loose, Ordered, Population, segment_bases
+from pmpm.state.assembly import Growing
+from pmpm.state.particles import LANES, Ordered, Population, layer_groups, segment_bases
 
 OWN = "restart"  # the group of a checkpoint that a snapshot has not
 RECORD, SCENE = f"{OWN}/record", f"{OWN}/scene"
@@ -170,14 +171,18 @@ def common_rows(simulation, held):
     geometry, scene, kernels = simulation.geometry, simulation.scene, simulation.kernels
     materials = np.array([simulation.material_names.index(body.material) for body in scene.bodies], np.int32)
     populations, rows, velocity = held.populations, held.rows, simulation.layouts[0].where("v")
-    order = None if len(populations) == 1 else readout.order_of(populations)
 
     def joined(columns, dtype, groups_of):
         def make():
-            if order is None:
-                return groups_of(populations[0])
-            nothing = np.empty((0, *columns), dtype)
-            return [np.concatenate([nothing, *(group for p in populations for group in groups_of(p))])[order]]
+            if len(populations) == 1:
+                yield from groups_of(populations[0])
+                return
+            counts, first = sum(p.layer_counts for p in populations), populations[0].first_layer
+            for layers in layer_groups(counts, first):
+                parts = [population.part(*layers) for population in populations]
+                nothing = np.empty((0, *columns), dtype)
+                found = np.concatenate([nothing, *(group for part in parts for group in groups_of(part))])
+                yield found[readout.order_of(parts)]
 
         return Later((rows, *columns), np.dtype(dtype), make)
 
@@ -225,12 +230,14 @@ class Continuation:
         """(layers, laws) particles that this rank reads, by the layers of the slab axis that the scene has now; nearly."""
         geometry, form = simulation.geometry, FORMATS[np.dtype(self.file.precision)]
         slab, found = geometry.axes[0], np.zeros((geometry.layers, len(self.tables)), np.int64)
-        for number, (table, label) in enumerate(zip(self.tables, self.labels, strict=True)):
-            begin, end, here = rows_of(table, *self.own_layers)
-            place = self.file.rows(f"{OWN}/{label}/place", begin, end, (simulation.dim,), form.integer)
-            base = np.repeat(segment_bases(here[:, 0], here, self.geometry.axes)[:, slab], here[:, 1])
-            layer = np.clip(base + (place[:, slab] >> form.fraction), 0, geometry.layers - 1)
-            np.add.at(found[:, number], layer, 1)
+        first, last = self.own_layers
+        for layers in layer_groups(self.counts[first:last].sum(axis=1), first):
+            for number, (table, label) in enumerate(zip(self.tables, self.labels, strict=True)):
+                begin, end, here = rows_of(table, *layers)
+                place = self.file.rows(f"{OWN}/{label}/place", begin, end, (simulation.dim,), form.integer)
+                base = np.repeat(segment_bases(here[:, 0], here, self.geometry.axes)[:, slab], here[:, 1])
+                layer = np.clip(base + (place[:, slab] >> form.fraction), 0, geometry.layers - 1)
+                np.add.at(found[:, number], layer, 1)
         return found
 
     def read_tables(self, simulation):
@@ -287,7 +294,9 @@ class Continuation:
         self.move_regions(simulation)
         simulation.control.resume(record.control.model_dump())
         if turned:
-            simulation.regroup(loose=[Loose.of(p, self.geometry, simulation.kernels) for p in simulation.populations])
+            nowhere = (0,) * (simulation.comm.size + 1)
+            found = [simulation.leaving(p, nowhere, self.geometry) for p in simulation.populations]
+            simulation.regroup(clouds=[of_law.others for of_law in found])
         simulation.note_loads()
         if simulation.energy_watch is not None and record.energy is not None:
             simulation.energy_watch.resume(record.energy.model_dump())
@@ -299,15 +308,20 @@ class Continuation:
             simulation.changed_by_hand()
 
     def populations(self, simulation):
-        """This rank's particles of each law."""
+        """This rank's particles of each law, read in groups of layers."""
         first, last = self.own_layers
-        ids, velocities = self.common(simulation)
-        found = []
-        for number, layout in enumerate(simulation.layouts):
-            ordered = self.ordered(simulation, number, ids[number], velocities[number])
-            pads = simulation.pad_values(layout)
-            found.append(Population.of_ordered(ordered, first, last - first, pads, simulation.dim))
-        return found
+        growing = []
+        for table, layout in zip(self.tables, simulation.layouts, strict=True):
+            blocks = int((-(-rows_of(table, first, last)[2][:, 1] // LANES)).sum())
+            growing.append(Growing(first, last - first, simulation.pad_values(layout), blocks))
+        for layers in layer_groups(self.counts[first:last].sum(axis=1), first):
+            ids, velocities = self.common(simulation, layers)
+            for number, made in enumerate(growing):
+                ordered = self.ordered(simulation, number, layers, ids[number], velocities[number])
+                part = Population.of_ordered(ordered, layers[0], layers[1] - layers[0], made.rest, simulation.dim)
+                reals, id_ = made.take(part.segments, part.layer_start, layers[0] - first, len(part.reals))
+                reals[:], id_[:] = part.reals, part.id
+        return [made.whole() for made in growing]
 
     def move_regions(self, simulation):
         regions, travelled = simulation.drive.regions, self.record.travelled
@@ -318,21 +332,21 @@ class Continuation:
         for region, where in zip(regions, travelled, strict=True):
             region.travelled[:] = where
 
-    def common(self, simulation):
-        """([ids of each law], [velocities (n, dim) of each law]) of this rank's particles."""
-        first, last = self.own_layers
+    def common(self, simulation, layers):
+        """([ids of each law], [velocities (n, dim) of each law]) of the particles of some layers."""
+        first, last = layers
         begin, end = (int(self.counts[:layer].sum()) for layer in (first, last))
         mine = self.counts[first:last]
         law = np.repeat(np.tile(np.arange(mine.shape[1]), len(mine)), mine.reshape(-1))
         ids = self.file.rows("VTKHDF/PointData/id", begin, end, (), np.int64)
         v = self.file.rows("VTKHDF/PointData/velocity", begin, end, (3,), np.floating)[:, : simulation.dim]
-        return zip(*((ids[law == number], v[law == number]) for number in range(len(self.tables))), strict=True)
+        return tuple(zip(*((ids[law == number], v[law == number]) for number in range(len(self.tables))), strict=True))
 
-    def ordered(self, simulation, number, ids, velocities):
-        """This rank's rows of a law."""
+    def ordered(self, simulation, number, layers, ids, velocities):
+        """Rows of a law in some layers."""
         file, real, layout = self.file, simulation.real, simulation.layouts[number]
         label = self.labels[number]
-        begin, end, table = rows_of(self.tables[number], *self.own_layers)
+        begin, end, table = rows_of(self.tables[number], *layers)
         ordered = Ordered(np.empty((end - begin, layout.size), real), ids, table)
         theirs, ours = FORMATS[np.dtype(file.precision)], FORMATS[np.dtype(real)]
         place = file.rows(f"{OWN}/{label}/place", begin, end, (simulation.dim,), theirs.integer)

@@ -13,6 +13,7 @@ observers  whoever watches
 
 import math
 import time as clock
+from itertools import chain
 
 import numpy as np
 
@@ -23,18 +24,19 @@ from pmpm.kernels import build, targets
 from pmpm.kernels.loops import FARTHEST, FORCES, SETTLED, WORKS
 from pmpm.kernels.places import TRAVEL
 from pmpm.parallel import comm as communication
-from pmpm.parallel.balance import Balance, best_edges, layer_work
+from pmpm.parallel.balance import Balance, best_edges, edges_between, layer_work
 from pmpm.parallel.halo import Halo
 from pmpm.parallel.parts import Crew, parts_of, pieces
-from pmpm.parallel.regroup import migrate
+from pmpm.parallel.regroup import migrate, partners
 from pmpm.parallel.slabs import Slabs, room
 from pmpm.particle_access import Particles
 from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
+from pmpm.state.assembly import Arrivals, assemble, leaving, settle
 from pmpm.state.derived import PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
 from pmpm.state.grid import SLACK, Patch
-from pmpm.state.particles import Cloud, Loose, Population, assemble
+from pmpm.state.particles import Cloud, Population, layer_groups
 from pmpm.timestep import FAILED, FORCE, GRADIENT, LAG, REQUEST, SPEED, WAVE, StepControl
 from pmpm.watching import STOP, Observer, Timers, next_count, spread
 
@@ -144,28 +146,23 @@ class Simulation:
         self.walls = patch_walls(self.scene, self.geometry, self.patch, self.real)
         self.drive.meet(self.geometry, self.patch, self.walls)
 
-    def settle_in(self, loose, arrived):
-        """Order particles of each law that lie in this rank's layers: those at hand and (from lower, from higher ranks)."""
-        layers = self.last_layer - self.first_layer
-        self.populations = []
-        for particles, arrivals, layout in zip(loose, arrived, self.layouts, strict=True):
-            nothing = particles.take(np.zeros(0, np.int64))
-            before, after = arrivals or (nothing, nothing)
-            self.populations.append(
-                assemble(
-                    particles,
-                    before,
-                    after,
-                    self.geometry,
-                    self.kernels,
-                    self.first_layer,
-                    layers,
-                    len(self.scene.bodies),
-                    self.pad_values(layout),
-                )
+    def settle_in(self, edges, found, arrived):
+        """Order the particles of each law in the layers that `edges` give this rank: those who stay and those who arrive."""
+        first, last = edges[self.comm.rank], edges[self.comm.rank + 1]
+        for law, layout in enumerate(self.layouts):
+            self.populations[law] = assemble(
+                self.populations[law],
+                found[law].staying,
+                arrived[law],
+                self.geometry,
+                self.kernels,
+                first,
+                last - first,
+                len(self.scene.bodies),
+                self.pad_values(layout),
             )
+            arrived[law] = None
         self.held = self.rows()
-        self.share_layers()
 
     def share_layers(self):
         """Say which layers are summed first, and which thread does what; nodes are laid out anew before the next step."""
@@ -186,6 +183,11 @@ class Simulation:
         self.drive.lay_out()
         self.halo.lay_out()
 
+    def no_particles(self):
+        """Empty populations of this rank's layers."""
+        layers = self.last_layer - self.first_layer
+        return [Population.empty(layout.size, layers, self.first_layer, self.real) for layout in self.layouts]
+
     def pad_values(self, layout):
         values = np.zeros(layout.size, self.real)
         values[layout.state_first :] = layout.rest_state()
@@ -201,10 +203,10 @@ class Simulation:
         self.timers.add("compile", began)
 
     def warm_up_regroup(self):
-        layers = self.last_layer - self.first_layer
-        empty = [Population.empty(layout.size, layers, self.first_layer, self.real) for layout in self.layouts]
-        loose = [Loose.of(population, self.geometry, self.kernels) for population in empty]
-        self.settle_in(loose, [None] * len(loose))
+        self.populations = self.no_particles()
+        found = [self.leaving(population, self.slabs.edges) for population in self.populations]
+        self.settle_in(self.slabs.edges, found, [Arrivals(of_law.others, 0) for of_law in found])
+        self.share_layers()
 
     def warm_up(self):
         self.lay_out()
@@ -227,7 +229,7 @@ class Simulation:
         """Maxima over this rank's particles in the order of what is reduced: |v|^2, c^2, |C|^2 where particles have it, and
         |b|^2 of the body force; drift is zero. A particle that is not a number stops the run, not this."""
         found = np.zeros(FAILED)
-        for derived in self.derived(self.real):
+        for derived in chain.from_iterable(self.derived_groups(self.real)):
             values = {SPEED: derived.speed() ** 2, WAVE: derived.wave_speed_squared()}
             C = derived.field("C")
             if C is not None:
@@ -260,7 +262,7 @@ class Simulation:
         """Take note that someone has written to the particles, or changed what drives them; `moved`: all of them, per law, at
         new places. Collective."""
         if moved is not None:
-            self.regroup(loose=[Loose.of_rows(cloud) for cloud in moved])
+            self.regroup(clouds=moved)
         self.control.begin(self.step_count, self.fastest())
         self.take_energy()
 
@@ -274,7 +276,8 @@ class Simulation:
     def note_loads(self):
         """Find the largest acceleration by loads. Collective."""
         if self.needs.loaded:
-            found = (np.square(d.field("load")).sum(axis=1).max(initial=0.0) for d in self.derived(np.float64))
+            derived = chain.from_iterable(self.derived_groups(np.float64))
+            found = [np.square(d.field("load")).sum(axis=1).max(initial=0.0) for d in derived]
             self.drive.largest_load = float(np.sqrt(self.comm.max(np.array([max(found)]))[0]))
 
     def check_fixed_step(self, error):
@@ -528,34 +531,94 @@ class Simulation:
                 self.failed.append((number, block, lane, cause))
         return extremes
 
-    def regroup(self, edges=None, loose=None):
+    def regroup(self, edges=None, clouds=None):
         """Migration, sorting and new cuts (if `edges` are given) in one event: every particle joins the layer it lies in.
 
-        `loose`: take these particles instead of those at hand. Results do not depend on the cuts. Raises ValueError, and
-        changes nothing, for edges that are no slabs of all ranks.
+        `clouds`: take these particles, of each law, instead of those at hand. Results do not depend on the cuts. Raises
+        ValueError, and changes nothing, for edges that are no slabs of all ranks.
         """
         began, moves = clock.perf_counter(), False
         if edges is not None and len(edges) != self.comm.size + 1:
             raise ValueError(f"edges {edges}: {self.comm.size} ranks need {self.comm.size + 1} of them")
-        if edges is None and self.comm.size > 1 and loose is None:
+        if edges is None and self.comm.size > 1 and clouds is None:
             edges = self.look_at_balance()
             moves = edges is not None
+        before, sent = self.slabs.edges, (int(self.sent.sum()), self.sent_bytes)
         if edges is not None:
             self.cut(tuple(map(int, edges)))
-        loose = loose or [Loose.of(population, self.geometry, self.kernels) for population in self.populations]
-        held = [len(particles.rows) for particles in loose]
-        arrived, sent = migrate(loose, self.geometry.axes[0], self.slabs, self.comm)
-        left = [count - len(particles.rows) for count, particles in zip(held, loose, strict=True)]
-        rows = [Cloud.row_bytes(layout.size, self.dim, self.real) for layout in self.layouts]
-        self.settle_in(loose, arrived)
+        if clouds is not None:
+            self.take_in(clouds)
+        else:
+            for after in self.ways(before, self.slabs.edges):
+                self.move(before, after)
+                before = after
+        self.share_layers()
         self.control.regrouped(self.step_count)
         self.regroups += 1
-        self.sent += sent
-        nbytes = sum(count * row for count, row in zip(left, rows, strict=True))
-        self.sent_bytes += nbytes
         if moves:
-            self.balance.note(self.step_count, int(sent.sum()), nbytes)
+            self.balance.note(self.step_count, int(self.sent.sum()) - sent[0], self.sent_bytes - sent[1])
         self.timers.add("regroup", began)
+
+    def ways(self, before, after):
+        """The edges to go through from those before to those after, so that no rank has much more than it had or will have."""
+        if before == after:
+            return [after]
+        counts = np.zeros(self.geometry.layers, np.int64)
+        first, last = before[self.comm.rank], before[self.comm.rank + 1]
+        counts[first:last] = sum(population.layer_counts for population in self.populations)
+        return edges_between(self.comm.sum(counts), before, after)
+
+    def move(self, before, after):
+        """Let every particle join the layer it lies in, when the cuts were at edges `before` and are to be at `after`."""
+        slab = self.geometry.axes[0]
+        found = [self.leaving(population, after) for population in self.populations]
+        arrived, sent = migrate(
+            [of_law.others for of_law in found],
+            [of_law.layer < of_law.others.node[:, slab] for of_law in found],
+            slab,
+            after,
+            self.comm,
+            *partners(before, after, self.comm.rank, self.geometry.periodic[slab]),
+        )
+        for of_law in found:
+            of_law.others = None
+        self.settle_in(after, found, arrived)
+        self.note_sent(sent)
+
+    def note_sent(self, sent):
+        """Count what has been sent, (ranks, laws) particles."""
+        self.sent += sent.sum(axis=1)
+        rows = [Cloud.row_bytes(layout.size, self.dim, self.real) for layout in self.layouts]
+        self.sent_bytes += int(sent.sum(axis=0) @ np.array(rows))
+
+    def leaving(self, population, edges, geometry=None):
+        """The Leaving of a population when the cuts are at these edges."""
+        first, last = edges[self.comm.rank], edges[self.comm.rank + 1]
+        return leaving(population, geometry or self.geometry, self.kernels, first, last)
+
+    def take_in(self, clouds):
+        """Hold these particles of each law, which lie in layers of any rank and in no order yet, and no others."""
+        edges = self.slabs.edges
+        arrived, sent = self.deliver(clouds)
+        self.populations = self.no_particles()
+        self.settle_in(edges, [self.leaving(population, edges) for population in self.populations], arrived)
+        self.note_sent(sent)
+
+    def deliver(self, clouds):
+        """(Arrivals of each law, (ranks, laws) particles sent) where everyone in these Clouds goes to the rank of its layer."""
+        everyone = [np.ones(len(cloud), bool) for cloud in clouds]
+        return migrate(clouds, everyone, self.geometry.axes[0], self.slabs.edges, self.comm)
+
+    def hold(self, batches, displaced, counts):
+        """Hold the seeds of one group of this rank's layers after another, see state.assembly.settle, and `displaced` ones of
+        each law that lie in layers of any rank, or None. Collective."""
+        others = None if displaced is None else [arrivals.cloud for arrivals in self.deliver(displaced)[0]]
+        self.populations = settle(
+            batches, others, counts, self.geometry, self.kernels, self.first_layer, self.last_layer - self.first_layer,
+            len(self.scene.bodies), [self.pad_values(layout) for layout in self.layouts],
+        )  # fmt: skip
+        self.held = self.rows()
+        self.share_layers()
 
     def look_at_balance(self):
         """New edges if they are worth it, else None. Collective."""
@@ -635,14 +698,26 @@ class Simulation:
 
     # ---- what users see ----
 
-    def derived_of(self, law, real):
+    def derived_of(self, law, real, population=None):
+        population = self.populations[law] if population is None else population
         return DerivedFields(
-            self.populations[law], self.needs.laws[law], self.layouts[law], self.needs, self.geometry,
+            population, self.needs.laws[law], self.layouts[law], self.needs, self.geometry,
             self.tables[law], real,
         )  # fmt: skip
 
     def derived(self, real):
         return [self.derived_of(law, real) for law in range(len(self.needs.laws))]
+
+    def derived_groups(self, real):
+        """Yield the same of one group of layers after another, in little memory."""
+        counts = sum(population.layer_counts for population in self.populations)
+        for layers in layer_groups(counts, self.first_layer):
+            yield [self.derived_of(law, real, p.part(*layers)) for law, p in enumerate(self.populations)]
+
+    def no_derived(self, real):
+        """The same of no particles."""
+        nowhere = self.first_layer, self.first_layer
+        return [self.derived_of(law, real, p.part(*nowhere)) for law, p in enumerate(self.populations)]
 
     @property
     def particles(self):
@@ -662,9 +737,13 @@ class Simulation:
         """dict of this rank's rows of each named field, in the one global order: see state.fields.OUTPUT, `x` and `id`."""
         return readout.fields(self, names)
 
-    def law_fields(self, names):
-        """dict of law -> dict of the named state variables it keeps, over its own particles in order."""
-        return readout.law_fields(self, names)
+    def fields_later(self, names):
+        """The same, made when they are written."""
+        return readout.fields_later(self, names)
+
+    def law_fields_later(self, names):
+        """dict of law -> dict of the named state variables it keeps, over its own particles in order, made when written."""
+        return readout.law_fields_later(self, names)
 
     def measure(self):
         """Totals over all ranks, the same for any rank count: particles, mass, momentum, angular momentum, energies, ..."""

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from pmpm.output.datasets import Later
 from pmpm.parallel.comm import Alone
 
 STATE_COLUMNS = {"hencky_strain": 6, "v_c": None}
@@ -19,6 +20,10 @@ def fake_scene(dim=3, precision="float64", fields=("velocity", "pressure", "stre
         materials={"water": "fluid", "sand": "drucker_prager"},
         time=SimpleNamespace(end=1.0),
     )
+
+
+def later(rows):
+    return Later(rows.shape, rows.dtype, lambda: [rows])
 
 
 class FakeSimulation:
@@ -50,12 +55,12 @@ class FakeSimulation:
     def rows(self):
         return self.here.stop - self.here.start
 
-    def fields(self, names):
-        return {name: self.all[name][self.here].copy() for name in names}
+    def fields_later(self, names):
+        return {name: later(self.all[name][self.here].copy()) for name in names}
 
-    def law_fields(self, names):
+    def law_fields_later(self, names):
         is_sand = self.all["material"][self.here] == SAND
-        state = {name: self.all[name][self.here][is_sand] for name in names if name in STATE_COLUMNS}
+        state = {name: later(self.all[name][self.here][is_sand]) for name in names if name in STATE_COLUMNS}
         # A rank without sand does not know of the law.
         return {"drucker_prager": state} if is_sand.any() else {}
 

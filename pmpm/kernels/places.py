@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 PADDING = 1  # cells a particle may drift from the layer it joined at the last regroup
+NEAR = 1  # layers that it is then at most from there: padding and half a cell are less than two
 REACH = 110  # cells between a base node and the home nodes of its particles, at a regroup
 TRAVEL = 8.0  # cells a particle may travel from there: 110 + 8 + 1 stays inside the integers of float32 places
 

@@ -1,26 +1,97 @@
-"""Loops of a regroup: homes of particles, their order by (layer, body, cell), segments, and the move into new blocks.
+"""Loops of a regroup: who leaves, homes, the order by (layer, body, cell), segments, and the move into new blocks.
 
-Arrays of one number per particle stand in the order of the particles, `homes[axis]` too; `source[n]` is where particle n
-comes from: a lane (16 block + lane) of the blocks it lay in, or -1 - k for row k of those that arrived from other ranks.
+A regroup goes through the layers in groups, so that what it notes of each particle is of one group alone. Those candidates
+stand in the order of the particles, `homes[axis]` too; `source[n]` is where candidate n comes from: a lane (16 block + lane)
+of the blocks it lay in, or -1 - k for row k of those that arrived from elsewhere.
 """
 
 import numpy as np
 
 from pmpm.kernels.lanes import gather, prefetch, store
-from pmpm.kernels.places import REACH
+from pmpm.kernels.places import NEAR, REACH
 
 SEGMENT_COLUMNS = 5
 AHEAD = 48  # particles
 
 
-def loosen(places, segments, layer_start, first_layer, half, fraction, axes, nodes, periodic, homes, bodies, source):
-    """Home nodes of all particles, 0 .. nodes[axis] - 1; places count from them afterwards.
+def stays(home, layer, first, last):
+    """Whether a particle goes from its layer to a near one among first .. last - 1."""
+    return first <= home < last and abs(home - layer) <= NEAR
+
+
+def settled(place, base, half, fraction, nodes, periodic):
+    """(home node 0 .. nodes - 1, place from there) of a place from a base node.
 
     Exact: places change by whole cells. What is a little beyond a wall has the outermost home: up to a cell from the middle of
     its layer (cubic), but it cannot drift further out, for half a cell beyond a wall the run stops.
     """
+    steps = (place + half) >> fraction
+    if periodic:
+        return (base + steps) % nodes, place - (steps << fraction)
+    home = max(0, min(nodes - 1, base + steps))
+    return home, place - ((home - base) << fraction)
+
+
+def count_moves(
+    places, segments, layer_start, first_layer, first, last, half, fraction, slab, nodes, periodic, staying, leaving
+):  # fmt: skip
+    """Count who will stay in each layer first .. last - 1, and who leaves each layer there is now; see `stays`."""
+    for layer in range(layer_start.shape[0] - 1):
+        base = first_layer + layer
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            block, left = segments[s, 0], segments[s, 1]
+            while left > 0:
+                for k in range(min(left, 16)):
+                    home, _ = settled(places[block, slab, k], base, half, fraction, nodes, periodic)
+                    if stays(home, base, first, last):
+                        staying[home - first] += 1
+                    else:
+                        leaving[layer] += 1
+                left -= 16
+                block += 1
+
+
+def take_leaving(
+    places, ids, segments, layer_start, first_layer, first, last, half, fraction, axes, nodes, periodic, leaving, rows, node,
+    bodies, row_ids,
+):  # fmt: skip
+    """Copy all who leave, in order, into rows (n, fields) with places from their home nodes (n, dim)."""
     n = 0
     for layer in range(layer_start.shape[0] - 1):
+        if leaving[layer] == 0:
+            continue
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            block, left = segments[s, 0], segments[s, 1]
+            while left > 0:
+                for k in range(min(left, 16)):
+                    base, slab = first_layer + layer, axes[0]
+                    home, _ = settled(places[block, slab, k], base, half, fraction, nodes[slab], periodic[slab])
+                    if stays(home, base, first, last):
+                        continue
+                    for f in range(places.shape[1]):
+                        rows[n, f] = places[block, f, k]
+                    for array_axis in range(3):
+                        axis = axes[array_axis]
+                        if axis >= 0:
+                            base = first_layer + layer if array_axis == 0 else segments[s, 2 + array_axis]
+                            node[n, axis], rows[n, axis] = settled(
+                                places[block, axis, k], base, half, fraction, nodes[axis], periodic[axis]
+                            )
+                    bodies[n], row_ids[n] = segments[s, 2], ids[block, k]
+                    n += 1
+                left -= 16
+                block += 1
+
+
+def loosen(
+    places, segments, layer_start, first_layer, begin, end, first, last, half, fraction, axes, nodes, periodic, n, homes,
+    bodies, source,
+):  # fmt: skip
+    """Candidates from number `n` on: those of layers begin .. end - 1 that stay. Returns how many candidates there are then.
+
+    Their places count from their home nodes afterwards, see `settled`.
+    """
+    for layer in range(begin - first_layer, end - first_layer):
         for s in range(layer_start[layer], layer_start[layer + 1]):
             block, left, body = segments[s, 0], segments[s, 1], segments[s, 2]
             while left > 0:
@@ -41,9 +112,10 @@ def loosen(places, segments, layer_start, first_layer, half, fraction, axes, nod
                 for k in range(count):
                     bodies[n + k] = body
                     source[n + k] = 16 * block + k
-                n += count
+                n = drop_leaving(homes, source, n, count, first_layer + layer, first, last, axes[0])
                 left -= count
                 block += 1
+    return n
 
 
 def settle(places, homes, first, count, base, half, fraction):
@@ -54,9 +126,25 @@ def settle(places, homes, first, count, base, half, fraction):
         homes[first + k] = base + steps
 
 
-def cell_order(homes, bodies, axes, first_layer, layers, body_count, count, scratch, order):
-    """The order of particles by (layer, body, middle, row), stable; `count` needs room for layers x bodies, for nodes of an
-    axis and for as many numbers as there are particles.
+def drop_leaving(homes, source, n, count, layer, first, last, slab):
+    """Close up the candidates n .. n + count - 1 of one body to those that stay; returns the number after them."""
+    staying = 0
+    for k in range(n, n + count):
+        staying += stays(homes[slab, k], layer, first, last)
+    if staying < count:
+        there = n
+        for k in range(n, n + count):
+            if stays(homes[slab, k], layer, first, last):
+                for axis in range(homes.shape[0]):
+                    homes[axis, there] = homes[axis, k]
+                source[there] = source[k]
+                there += 1
+    return n + staying
+
+
+def cell_order(homes, bodies, candidates, axes, first_layer, layers, body_count, count, scratch, order):
+    """The order by (layer, body, middle, row), stable, of those candidates that come into these layers, as many as `order` has
+    room for. `count` needs room for layers x bodies, for nodes of an axis and for as many numbers as `order`.
 
     Counting sorts: all particles by layer and body, then each such group, which fits into a core's cache, by cell.
     """
@@ -64,19 +152,21 @@ def cell_order(homes, bodies, axes, first_layer, layers, body_count, count, scra
     layer = homes[axes[0]]
     for g in range(groups + 1):
         count[g] = 0
-    for n in range(layer.shape[0]):
-        count[(layer[n] - first_layer) * body_count + bodies[n] + 1] += 1
+    for n in range(candidates):
+        if first_layer <= layer[n] < first_layer + layers:
+            count[(layer[n] - first_layer) * body_count + bodies[n] + 1] += 1
     for g in range(groups):
         count[g + 1] += count[g]
-    for n in range(layer.shape[0]):
-        g = (layer[n] - first_layer) * body_count + bodies[n]
-        scratch[count[g]] = n
-        count[g] += 1
-    first = 0
-    while first < layer.shape[0]:
+    for n in range(candidates):
+        if first_layer <= layer[n] < first_layer + layers:
+            g = (layer[n] - first_layer) * body_count + bodies[n]
+            scratch[count[g]] = n
+            count[g] += 1
+    first, end = 0, order.shape[0]
+    while first < end:
         lead = scratch[first]
         last = first + 1
-        while last < layer.shape[0] and layer[scratch[last]] == layer[lead] and bodies[scratch[last]] == bodies[lead]:
+        while last < end and layer[scratch[last]] == layer[lead] and bodies[scratch[last]] == bodies[lead]:
             last += 1
         group, ordered = scratch[first:last], order[first:last]
         row = homes[axes[2]]

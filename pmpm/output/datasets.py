@@ -21,6 +21,7 @@ from pmpm.output.files import (
 )
 from pmpm.physics.materials import LAWS
 
+PIECE = 1 << 28  # bytes that are written at a time where all ranks write together
 AHEAD = 3  # groups of rows that wait to be written while the next is made
 ABORTED = 1  # exit status when ranks must be ended in the middle of a write
 UNITS = {
@@ -43,6 +44,14 @@ class Later:
     shape: tuple[int, ...]
     dtype: np.dtype
     make: Callable[[], Iterable[np.ndarray]]
+
+    def __len__(self):
+        return self.shape[0]
+
+    def through(self, function):
+        """What a function makes of the rows, group by group."""
+        kind = function(np.empty((0, *self.shape[1:]), self.dtype))
+        return Later((len(self), *kind.shape[1:]), kind.dtype, lambda: map(function, self.make()))
 
 
 def default_parallel(comm):
@@ -166,7 +175,7 @@ def write_mpio(comm, path, pieces, shapes, starts, attributes, sums):
 
     file = on_every_rank(comm, lambda: h5py.File(path, "w", driver="mpio", comm=comm.communicator))
     try:
-        write_collectively(file, pieces, shapes, starts, attributes, sums)
+        write_collectively(comm, file, pieces, shapes, starts, attributes, sums)
         file.close()  # not where writing has failed: closing waits for all ranks
         if sums is not None:
             sync_file(path)
@@ -177,7 +186,7 @@ def write_mpio(comm, path, pieces, shapes, starts, attributes, sums):
         raise
 
 
-def write_collectively(file, pieces, shapes, starts, attributes, sums):
+def write_collectively(comm, file, pieces, shapes, starts, attributes, sums):
     """Write all datasets of an open file; a rank without rows takes part with nothing selected."""
     import h5py
 
@@ -189,17 +198,38 @@ def write_collectively(file, pieces, shapes, starts, attributes, sums):
         shape, dtype = shapes[name]
         if not np.prod(shape, dtype=np.int64):
             continue
-        groups = groups_of(pieces[name]) if name in pieces else ()
-        rows = np.concatenate([np.empty((0, *shape[1:]), dtype), *groups])
-        if sums is not None and rows.size:
-            sums[name] = rows.nbytes, xxh3_64(rows.reshape(-1).view(np.uint8).data).intdigest()
-        here, there = h5py.h5s.create_simple((max(len(rows), 1), *shape[1:])), dataset.id.get_space()
-        if len(rows):
-            there.select_hyperslab((starts[name], *[0] * (rows.ndim - 1)), rows.shape)
-        else:
-            here.select_none()
-            there.select_none()
-        dataset.id.write(here, there, rows, dxpl=transfer)
+        place, checksum = starts[name], xxh3_64()
+        for rows in in_rounds(comm, groups_of(pieces[name]) if name in pieces else (), shape[1:], dtype):
+            here, there = h5py.h5s.create_simple((max(len(rows), 1), *shape[1:])), dataset.id.get_space()
+            if len(rows):
+                there.select_hyperslab((place, *[0] * (rows.ndim - 1)), rows.shape)
+                checksum.update(rows.reshape(-1).view(np.uint8).data)
+            else:
+                here.select_none()
+                there.select_none()
+            dataset.id.write(here, there, rows, dxpl=transfer)
+            place += len(rows)
+        if sums is not None and place > starts[name]:
+            row_bytes = dtype.itemsize * int(np.prod(shape[1:], dtype=np.int64))
+            sums[name] = (place - starts[name]) * row_bytes, checksum.intdigest()
+
+
+def in_rounds(comm, groups, columns, dtype):
+    """Yield this rank's groups of rows, each at most PIECE bytes, and no rows as long as another rank has some left."""
+    left = iter(pieces_of(groups))
+    while True:
+        rows = next(left, None)
+        if not comm.max(np.array([rows is not None]))[0]:
+            return
+        yield np.empty((0, *columns), dtype) if rows is None else rows
+
+
+def pieces_of(groups):
+    """Yield groups of rows in pieces of at most PIECE bytes: what MPI counts in 32 bits."""
+    for rows in groups:
+        step = max(1, PIECE // max(rows[:1].nbytes, 1))
+        for first in range(0, len(rows), step):
+            yield rows[first : first + step]
 
 
 def create_dataset(file, name, shape, dtype):

@@ -101,14 +101,15 @@ def entries_on_disk(place, names):
 def collect(simulation, scene, names):
     """This rank's rows of every particle dataset, by path in the file. OutputError if rows are missing."""
     names = [name for name in names if name != "id"]
-    fields = simulation.fields(["id", "x", *names])
+    fields = simulation.fields_later(["id", "x", *names])
     own_state = [name for name in names if name not in COMMON_FIELDS]
-    laws = simulation.law_fields(own_state) if own_state else {}
+    laws = simulation.law_fields_later(own_state) if own_state else {}
 
-    points = three_columns(fields["x"]).astype(np.float64 if scene.method.precision == "float64" else np.float32)
-    pieces = {"VTKHDF/Points": points}
+    real = np.dtype(scene.method.precision)
+    pieces = {"VTKHDF/Points": fields["x"].through(lambda x: three_columns(x).astype(real))}
     for name in ["id", *names]:
-        pieces[f"VTKHDF/PointData/{name}"] = three_columns(fields[name]) if name == "velocity" else fields[name]
+        rows = fields[name]
+        pieces[f"VTKHDF/PointData/{name}"] = rows.through(three_columns) if name == "velocity" else rows
     for path, rows in pieces.items():
         if len(rows) != simulation.rows():
             raise OutputError(f"{path} has {len(rows)} rows for {simulation.rows()} particles")

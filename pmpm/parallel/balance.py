@@ -15,6 +15,8 @@ from pmpm.parallel.slabs import room
 NODE_WORK = 50  # measured: 0.45 (3-D, float32), 0.52 (3-D, float64), 0.71 (2-D) particle-steps
 MOVE_WORK = 1000  # of a particle that changes ranks, packing, sending and its share of new patches: an estimate
 MOST_MOVES = 100  # that are remembered for run.json
+SHARE = 1 / 8  # of a rank's particles that may arrive at a time: they are there twice until they are sorted in
+FEW = 1 << 18  # particles that may arrive however few there are
 WORTH = 0.02  # of the busiest rank's work that new cuts must save at least
 
 
@@ -98,6 +100,25 @@ def beginnings(below, bound, ranks, window):
             break
         reached = begins
     return found
+
+
+def edges_between(counts, before, after):
+    """The edges, `after` the last of them, to go through from those `before`, so that on each way no rank gets more than SHARE
+    of the particles that it has in the end or had in the beginning; `counts`: (layers,) of all ranks.
+
+    Edges on the way need not be a stencil apart: there are no time steps between.
+    """
+    below = sums_below(counts)
+    had, gets = np.diff(below[list(before)]), np.diff(below[list(after)])
+    first, last = np.maximum(before[:-1], after[:-1]), np.minimum(before[1:], after[1:])
+    arriving = gets - (below[np.maximum(last, first)] - below[first])
+    ways = int(np.max(np.ceil(arriving / np.maximum(SHARE * np.maximum(had, gets), FEW))))
+    begin, end = below[list(before)], below[list(after)]
+    found = [
+        tuple(int(edge) for edge in np.searchsorted(below, begin + (end - begin) * way // ways))
+        for way in range(1, ways)
+    ]
+    return [*[(0, *edges[1:-1], len(counts)) for edges in found], tuple(after)]
 
 
 def slab_works(work, edges):

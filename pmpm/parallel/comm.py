@@ -12,6 +12,7 @@ import numpy as np
 
 LAUNCHER_SIZE = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "PMIX_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 LAUNCHER_RANK = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "PMIX_RANK", "MV2_COMM_WORLD_RANK", "SLURM_PROCID")
+MESSAGE = 1 << 30  # bytes: MPI counts them in 32 bits
 
 
 class LaunchError(Exception):
@@ -48,9 +49,14 @@ class Alone:
         """Elementwise sum over ranks. Independent of the rank count only for integers or disjoint contributions."""
         return np.array(values)
 
-    def exchange_pieces(self, pieces):
-        """Give bytes `pieces[r]` to rank r; returns the list of what each rank gave, by rank."""
-        return list(pieces)
+    def deliver(self, sends, receives):
+        """Exchange messages, lists of (peer, tag, contiguous array of bytes), both sides knowing how long each one is. What is
+        longer than MESSAGE goes in pieces."""
+        self.finish(self.start_exchange(sends, receives))
+
+    def exchange_counts(self, counts):
+        """(ranks, n) integers that this rank tells each rank; returns what each rank tells this one."""
+        return counts
 
     def offsets(self, count):
         """(where this rank's `count` rows begin in the one global order, how many there are over all ranks)."""
@@ -154,17 +160,14 @@ class World:
         self.communicator.Allreduce(values, result, operation)
         return result
 
-    def exchange_pieces(self, pieces):
-        counts = np.array([len(piece) for piece in pieces], np.int64)
+    def deliver(self, sends, receives):
+        self.finish(self.start_exchange(in_pieces(sends), in_pieces(receives)))
+
+    def exchange_counts(self, counts):
+        counts = np.ascontiguousarray(counts)
         incoming = np.empty_like(counts)
         self.communicator.Alltoall(counts, incoming)
-        received = [np.empty(count, np.uint8) for count in incoming]
-        received[self.rank] = np.frombuffer(pieces[self.rank], np.uint8)
-        others = [r for r in range(self.size) if r != self.rank]
-        requests = [self.communicator.Irecv(received[r], r) for r in others if incoming[r]]
-        requests += [self.communicator.Isend(np.frombuffer(pieces[r], np.uint8), r) for r in others if counts[r]]
-        self.mpi.Request.Waitall(requests)
-        return received
+        return incoming
 
     def offsets(self, count):
         counts = self.communicator.allgather(int(count))
@@ -183,6 +186,15 @@ class World:
         sys.stdout.flush()
         sys.stderr.flush()
         self.communicator.Abort(status)
+
+
+def in_pieces(messages):
+    """The same messages, none longer than MESSAGE: between two ranks those of one tag arrive in their order."""
+    return [
+        (peer, tag, array[first : first + MESSAGE])
+        for peer, tag, array in messages
+        for first in range(0, max(len(array), 1), MESSAGE)
+    ]
 
 
 def launched(names):

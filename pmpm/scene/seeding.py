@@ -1,6 +1,5 @@
 """Fill the bodies of a scene with particles: each rank only the layers it owns, the same particles for any rank count."""
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,22 +63,22 @@ def id_offsets(scene):
     return np.concatenate([[0], np.cumsum([cells * body.particles_per_cell for body in scene.bodies])]).astype(np.int64)
 
 
-def seed(scene, geometry, first_layer, last_layer):
-    """Seeds of each body in layers first_layer .. last_layer - 1. Where bodies overlap the later one wins."""
-    around = surroundings(scene)
-    return [
-        joined(list(seed_planes(scene, geometry, number, first_layer, last_layer, around)), geometry.dim)
-        for number in range(len(scene.bodies))
-    ]
-
-
-def count_per_layer(scene, geometry, first_layer, last_layer):
-    """(bodies, layers of the domain) how many particles will be seeded in each of these layers; zero elsewhere."""
-    counts, around = np.zeros((len(scene.bodies), geometry.layers), np.int64), surroundings(scene)
-    for number in range(len(scene.bodies)):
-        for seeds in seed_planes(scene, geometry, number, first_layer, last_layer, around):
-            add_counts(counts[number], seeds.node[:, geometry.axes[0]])
-    return counts
+def seed(scene, geometry, number, groups, around):
+    """Yield the Seeds of body `number` in one group of layers after another: `groups`, (first, last + 1) layers of each, the
+    next one beginning where the last one ends. Where bodies overlap the later one wins. `around`: as for `seed_planes`."""
+    first_layer, last_layer, slab = groups[0][0], groups[-1][1], geometry.axes[0]
+    planes = seed_planes(scene, geometry, number, first_layer, last_layer, around)
+    end = last_layer, joined([], geometry.dim)
+    plane, seeds = next(planes, end)
+    waiting: list[Seeds] = []
+    for _, last in groups:
+        while plane < last:  # a plane gives its own layer and the next
+            waiting.append(seeds)
+            plane, seeds = next(planes, end)
+        found = joined(waiting, geometry.dim)
+        here = found.node[:, slab] < last
+        waiting = [found.take(~here)]
+        yield found.take(here)
 
 
 def add_counts(counts, layer):
@@ -91,7 +90,9 @@ def add_counts(counts, layer):
 
 
 def seed_planes(scene, geometry, number, first_layer, last_layer, around):
-    """Seeds of body `number` in these layers: one plane of cells after another, in pieces that fit into a core's cache.
+    """Yield (plane, Seeds) of body `number` in these layers: one plane of cells after another, in pieces that fit into a core's
+    cache. A plane gives particles to its own layer and the next; of a periodic axis, what the last plane gives to layer 0
+    comes with plane 0.
 
     `around`: the Surroundings of all bodies.
     """
@@ -103,15 +104,21 @@ def seed_planes(scene, geometry, number, first_layer, last_layer, around):
     in_plane, piece = int(np.prod(widths)), max(1, PLACES // body.particles_per_cell)
     # Layers centred on nodes hold halves of two cells, layer 0 of a periodic axis also one of the last cell.
     planes = range(max(first_cell[slab], first_layer - 1), min(last_cell[slab], last_layer + 1))
-    wrapped = geometry.cells[slab] - 1 if geometry.periodic[slab] and first_layer == 0 else None
-    held = wrapped is not None and first_cell[slab] <= wrapped < last_cell[slab]
-    beyond = [wrapped] if held and wrapped not in planes else []
-    for plane in itertools.chain(planes, beyond):
+    end = geometry.cells[slab] - 1
+    wraps = geometry.periodic[slab] and first_layer == 0 and end > 0 and first_cell[slab] <= end < last_cell[slab]
+    found = [(plane, plane, first_layer, last_layer) for plane in planes if plane <= 0]
+    found += [(0, end, 0, 1)] if wraps else []
+    found += [
+        (plane, plane, max(first_layer, 1) if wraps and plane == end else first_layer, last_layer)
+        for plane in planes
+        if plane > 0
+    ]
+    for told, plane, lowest, highest in found:
         corner = np.where(np.arange(geometry.dim) == slab, plane, first_cell)
         for first in range(0, in_plane, piece):
             within = np.unravel_index(np.arange(first, min(first + piece, in_plane)), widths)
             cells = corner + np.stack(within, -1)
-            yield seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer, later)
+            yield told, seed_cells(scene, geometry, number, cells, first_id, lowest, highest, later)
 
 
 def surrounding_cells(scene, body):

@@ -3,6 +3,8 @@
 Computed by numpy from the same physics source as the kernels (targets.arrays): nothing is compiled for it.
 """
 
+from functools import cached_property
+
 import numpy as np
 
 from pmpm.kernels import targets
@@ -18,10 +20,21 @@ class DerivedFields:
         self.population, self.law, self.layout, self.affine = population, law, layout, needs.scheme.affine
         self.geometry, self.real = geometry, real
         self.target = targets.arrays(real, la=needs.tensors, law=law.module, **dict(law.choices))
-        self.row_values = table.astype(real)[population.per_particle(population.block_row)]
-        state = population.rows(slice(layout.state_first, layout.size)).astype(real)
-        self.state = tuple(np.ascontiguousarray(column) for column in state.T)
-        self.params = tuple(np.ascontiguousarray(column) for column in self.row_values.T[PARAMETERS:])
+        self.table = table.astype(real)
+
+    @cached_property
+    def row_values(self):
+        """(n, columns) of the law's table."""
+        return self.table[self.population.per_particle(self.population.block_row)]
+
+    @cached_property
+    def state(self):
+        state = self.population.rows(slice(self.layout.state_first, self.layout.size)).astype(self.real)
+        return tuple(np.ascontiguousarray(column) for column in state.T)
+
+    @cached_property
+    def params(self):
+        return tuple(np.ascontiguousarray(column) for column in self.row_values.T[PARAMETERS:])
 
     def evaluate(self, name, *arguments):
         """A function of the law over all particles."""

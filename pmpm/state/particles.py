@@ -13,6 +13,7 @@ from pmpm.kernels.places import FORMATS
 from pmpm.kernels.sorting import SEGMENT_COLUMNS
 
 LANES = 16
+GROUP = 1 << 16  # particles whose layers are handled together, if layers have no more: a few MB of numbers beside them
 GROUP_BYTES = 1 << 21  # of rows that are made at a time: about what a core's own cache holds
 
 
@@ -55,10 +56,12 @@ class Cloud:
     id: np.ndarray
 
     @classmethod
-    def empty(cls, size, dim, real):
+    def room(cls, count, size, dim, real):
+        """Room for so many particles."""
         return cls(
-            np.zeros((0, size), real), np.zeros((0, dim), np.int32), np.zeros(0, np.int32), np.zeros(0, np.int64)
-        )
+            np.empty((count, size), real), np.empty((count, dim), np.int32), np.empty(count, np.int32),
+            np.empty(count, np.int64),
+        )  # fmt: skip
 
     def __len__(self):
         return len(self.id)
@@ -75,23 +78,19 @@ class Cloud:
 
     @staticmethod
     def join(clouds):
-        return Cloud(*(np.concatenate([getattr(c, name) for c in clouds]) for name in ("reals", "node", "row", "id")))
+        return Cloud(*(np.concatenate(parts) for parts in zip(*(cloud.parts for cloud in clouds), strict=True)))
 
     def take(self, index):
         return Cloud(self.reals[index], self.node[index], self.row[index], self.id[index])
 
-    def to_bytes(self):
-        return b"".join(np.ascontiguousarray(a).tobytes() for a in (self.reals, self.node, self.row, self.id))
+    def rows(self, first, last):
+        """Some that lie together: the same memory."""
+        return self.take(slice(first, last))
 
-    @classmethod
-    def from_bytes(cls, data, count, size, dim, real):
-        """The inverse of `to_bytes` for `count` particles."""
-        parts, first = [], 0
-        for dtype, width in ((real, size), (np.int32, dim), (np.int32, 1), (np.int64, 1)):
-            length = count * width * np.dtype(dtype).itemsize
-            parts.append(np.frombuffer(data[first : first + length].tobytes(), dtype).reshape(count, width))
-            first += length
-        return cls(parts[0], parts[1], parts[2][:, 0], parts[3][:, 0])
+    @property
+    def parts(self):
+        """The arrays that it is made of."""
+        return self.reals, self.node, self.row, self.id
 
 
 @dataclass
@@ -162,6 +161,21 @@ class Population:
     def segment_layer(self):
         """(segments,) global layer of each segment."""
         return self.first_layer + np.repeat(np.arange(len(self.layer_start) - 1), np.diff(self.layer_start))
+
+    def part(self, first, last):
+        """The particles of layers first .. last - 1, counted as in the one global order: the same memory."""
+        begin, end = (int(self.layer_start[layer - self.first_layer]) for layer in (first, last))
+        starts = np.append(self.segments[:, 0], len(self.reals))
+        blocks, segments = slice(starts[begin], starts[end]), self.segments[begin:end].copy()
+        segments[:, 0] -= starts[begin]
+        layers = self.layer_start[first - self.first_layer : last - self.first_layer + 1] - begin
+        return Population(self.reals[blocks], self.id[blocks], segments, layers, first)
+
+    @property
+    def layer_counts(self):
+        """(layers,) how many particles lie in each layer of this rank."""
+        below = np.concatenate([[0], np.cumsum(self.segments[:, 1])])
+        return np.diff(below[self.layer_start])
 
     def copy(self):
         return Population(
@@ -259,96 +273,15 @@ class Population:
         return cloud
 
 
-@dataclass
-class Loose:
-    """Particles taken out of their order, still in their old blocks: home nodes (dim, n), table rows and sources (n,), see
-    kernels.sorting. Places count from the home nodes."""
+def layer_groups(counts, first_layer):
+    """(first, last + 1) of consecutive layers of about GROUP particles, whole layers each; at least one group.
 
-    population: Population
-    homes: np.ndarray
-    rows: np.ndarray
-    source: np.ndarray
-
-    @classmethod
-    def of(cls, population, geometry, kernels):
-        """Find the home node of every particle; the population is of no use afterwards."""
-        count, form = len(population), FORMATS[population.reals.dtype]
-        loose = cls(
-            population, np.empty((geometry.dim, count), np.int32), np.empty(count, np.int32), np.empty(count, np.int64)
-        )
-        kernels.loosen(
-            population.places, population.segments, population.layer_start, population.first_layer,
-            form.whole(geometry.stencil.round), form.fraction, np.array(geometry.axes),
-            np.array([geometry.homes(axis) for axis in range(geometry.dim)]), np.array(geometry.periodic),
-            loose.homes, loose.rows, loose.source,
-        )  # fmt: skip
-        return loose
-
-    def take(self, index):
-        """Some of them as a Cloud."""
-        block, lane = self.source[index] // LANES, self.source[index] % LANES
-        return Cloud(
-            self.population.reals[block, :, lane],
-            self.homes[:, index].T,
-            self.rows[index],
-            self.population.id[block, lane],
-        )
-
-    @classmethod
-    def of_rows(cls, cloud):
-        """Particles that lie in no order yet."""
-        count, size = cloud.reals.shape
-        blocks = -(-count // LANES)
-        population = Population.empty(size, 0, 0, cloud.reals.dtype)
-        padded = np.zeros((blocks * LANES, size), cloud.reals.dtype)
-        padded[:count] = cloud.reals
-        population.reals = np.ascontiguousarray(padded.reshape(blocks, LANES, size).transpose(0, 2, 1))
-        population.id = np.zeros((blocks, LANES), np.int64)
-        population.id.reshape(-1)[:count] = cloud.id
-        return cls(population, np.ascontiguousarray(cloud.node.T), cloud.row, np.arange(count))
-
-    def keep(self, index):
-        """Only some of them, in order."""
-        self.homes, self.rows, self.source = (
-            np.ascontiguousarray(self.homes[:, index]),
-            self.rows[index],
-            self.source[index],
-        )
-
-
-def assemble(loose, before, after, geometry, kernels, first_layer, layers, body_count, rest):
-    """The Population of what stayed, what arrived from lower ranks and from higher ones, in layers of this rank.
-
-    `rest` (size,): what fills up blocks, as reals, places zero.
+    counts: (layers,) from `first_layer` on.
     """
-    form = FORMATS[rest.dtype]
-    old = loose.population
-    homes, bodies, source = loose.homes, loose.rows, loose.source
-    arrived = before
-    if len(before) or len(after):
-        arrived = Cloud.join([before, after])
-        number = -1 - np.arange(len(arrived))
-        homes = np.ascontiguousarray(np.concatenate([before.node.T, homes, after.node.T], axis=1))
-        bodies = np.concatenate([before.row, bodies, after.row])
-        source = np.concatenate([number[: len(before)], source, number[len(before) :]])
-    count, axes = len(source), np.array(geometry.axes)
-    slab = homes[geometry.axes[0]]
-    if count and not first_layer <= slab.min() <= slab.max() < first_layer + layers:
-        raise RuntimeError(
-            f"particles of layers {slab.min()} .. {slab.max()} came to a rank of {layers} from {first_layer} on"
-        )
-    order, scratch = np.empty(count, np.int64), np.empty(count, np.int64)
-    buckets = max(layers * body_count, count, *(geometry.extent(axis) for axis in range(geometry.dim))) + 2
-    kernels.cell_order(
-        homes, bodies, axes, first_layer, layers, body_count, np.empty(buckets, np.int64), scratch, order
-    )
-    segments, layer_start = np.empty((count, SEGMENT_COLUMNS), np.int64), np.zeros(layers + 1, np.int64)
-    used, blocks = kernels.cut_segments(homes, bodies, order, axes, first_layer, segments, layer_start)
-    segments = segments[:used].copy()
-    reals, ids = np.empty((blocks, len(rest), LANES), rest.dtype), np.empty((blocks, LANES), np.int64)
-    places = reals.view(form.integer)
-    kernels.permute(
-        old.places, arrived.places, old.id, arrived.id, source, order, homes, axes, form.fraction, segments, used, places,
-        ids, rest.view(form.integer),
-    )  # fmt: skip
-    return Population(reals, ids, segments, layer_start, first_layer)
+    below, first = np.concatenate([[0], np.cumsum(counts)]), 0
+    while first < len(counts):
+        last = max(first + 1, int(np.searchsorted(below, below[first] + GROUP, side="right")) - 1)
+        yield first_layer + first, first_layer + last
+        first = last
+    if not len(counts):
+        yield first_layer, first_layer

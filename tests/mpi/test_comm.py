@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from pmpm.parallel import comm as communication
 from pmpm.parallel.comm import Alone, World, adopt
 
 pytestmark = pytest.mark.mpi(min_size=2)
@@ -84,18 +85,35 @@ def test_broadcast_tells_what_rank_zero_says(comm):
 
 
 @EVERYWHERE
-def test_pieces_reach_the_rank_they_are_for(comm):
-    def piece(giver, taker):
-        return bytes([giver, taker]) * (1 + giver + 3 * taker)
-
-    received = comm.exchange_pieces([piece(comm.rank, taker) for taker in range(comm.size)])
-    assert [bytes(part) for part in received] == [piece(giver, comm.rank) for giver in range(comm.size)]
+def test_counts_reach_the_rank_they_are_for(comm):
+    told = np.array([[10 * comm.rank + taker, 2**40 + taker] for taker in range(comm.size)])
+    heard = comm.exchange_counts(told)
+    assert heard.tolist() == [[10 * giver + comm.rank, 2**40 + comm.rank] for giver in range(comm.size)]
 
 
+@pytest.mark.parametrize("longest", [1, 7, 1 << 30])
 @EVERYWHERE
-def test_empty_pieces_are_legal(comm):
-    received = comm.exchange_pieces([b""] * comm.size)
-    assert [bytes(part) for part in received] == [b""] * comm.size
+def test_messages_of_any_length_arrive_whole(comm, longest, monkeypatch):
+    """Of 0, 3, 6, ... bytes, in pieces of `longest` bytes at most, two of them between the same ranks."""
+    monkeypatch.setattr(communication, "MESSAGE", longest)
+
+    def message(giver, taker, tag):
+        return np.full(3 * (giver + taker), 16 * giver + taker + 100 * tag, np.uint8)
+
+    others = [rank for rank in range(comm.size) if rank != comm.rank]
+    sends = [(rank, tag, message(comm.rank, rank, tag)) for rank in others for tag in (0, 1)]
+    taken = {(rank, tag): np.zeros(3 * (rank + comm.rank), np.uint8) for rank in others for tag in (0, 1)}
+    comm.deliver(sends, [(rank, tag, array) for (rank, tag), array in taken.items()])
+    wrong = [key for key, array in taken.items() if not np.array_equal(array, message(key[0], comm.rank, key[1]))]
+    assert wrong == []
+
+
+def test_a_message_beyond_what_mpi_counts_is_cut_without_a_gap():
+    """5 GiB that nobody writes: pieces of at most 2^30 bytes, whose ends meet."""
+    cut = communication.in_pieces([(1, 2, np.empty(5 * 2**30 + 3, np.uint8))])
+    lengths = [len(array) for _, _, array in cut]
+    assert lengths == [2**30] * 5 + [3]
+    assert {(peer, tag) for peer, tag, _ in cut} == {(1, 2)}
 
 
 @EVERYWHERE

@@ -2,12 +2,13 @@
 
 import time
 import tracemalloc
+from itertools import chain
 
 import numpy as np
 import pytest
 
 import pmpm
-from pmpm import estimate, explain
+from pmpm import estimate, explain, populate
 from pmpm.cli import main
 from pmpm.parallel.comm import Alone
 from pmpm.scene import seeding
@@ -83,18 +84,35 @@ def test_the_number_of_particles_is_estimated_to_two_percent(shapes):
     """4096 places that are spread evenly miss areas by less than a percent, volumes by a little more."""
     made = scene(*shapes, dim=3 if shapes == (BALL,) else 2)
     geometry = geometry_of(made)
-    counted = seeding.count_per_layer(made, geometry, 0, geometry.layers).sum(axis=1)
+    counted = populate.counted(made, geometry, 0, geometry.layers)[0].sum(axis=1)
     np.testing.assert_allclose(estimate.particles(made), counted, rtol=0.02)
 
 
 @pytest.mark.parametrize("periodic", [(), ("x",), ("y",)])
 def test_places_are_tried_in_pieces_with_the_same_particles_in_the_same_order(periodic, monkeypatch):
     made = scene(BOX, DISK, periodic=periodic, per_cell=5)
-    whole = seeding.seed(made, geometry_of(made), 3, 40)
+    geometry, around = geometry_of(made), seeding.surroundings(made)
+    groups = [(3, 20), (20, 21), (21, 40)]
+    bodies = range(len(made.bodies))
+    whole = [list(seeding.seed(made, geometry, number, groups, around)) for number in bodies]
     monkeypatch.setattr(seeding, "PLACES", 7)
-    pieces = seeding.seed(made, geometry_of(made), 3, 40)
-    for one, other in zip(whole, pieces, strict=True):
+    pieces = [list(seeding.seed(made, geometry, number, groups, around)) for number in bodies]
+    for one, other in zip(chain(*whole), chain(*pieces), strict=True):
         assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("node", "offset", "id"))
+
+
+@pytest.mark.parametrize("periodic", [(), ("x",), ("y",)])
+def test_groups_of_layers_are_seeded_with_the_same_particles_in_the_same_order(periodic):
+    """Within a layer; layer 0 of a periodic axis holds half of the last cells."""
+    made = scene(BOX, DISK, periodic=periodic, per_cell=5)
+    geometry, around = geometry_of(made), seeding.surroundings(made)
+    slab, layers = geometry.axes[0], geometry.layers
+    for number in range(len(made.bodies)):
+        (whole,) = seeding.seed(made, geometry, number, [(0, layers)], around)
+        whole = whole.take(np.argsort(whole.node[:, slab], kind="stable"))
+        groups = [(layer, layer + 1) for layer in range(layers)]
+        found = seeding.joined(list(seeding.seed(made, geometry, number, groups, around)), 2)
+        assert all(np.array_equal(getattr(whole, name), getattr(found, name)) for name in ("node", "offset", "id"))
 
 
 def test_a_plane_of_millions_of_cells_is_seeded_in_little_memory():
