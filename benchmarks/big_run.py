@@ -122,7 +122,8 @@ class Phases:
         speed = f"{path.stat().st_size / seconds / 1e6:.0f}" if path else ""
         per_particle = seconds / max(count * times, 1) * 1e9
         mark = (" ✘" if missed else " ✔") if judged else ""
-        row = f"| {name} | {seconds:.2f} | {per_particle:.1f} | {most:.2f}{mark} | {max(p for _, p, _ in told) / 1e6:.0f} | {speed} |"
+        highest = max(peak for _, peak, _ in told) / 1e6
+        row = f"| {name} | {seconds:.2f} | {per_particle:.1f} | {most:.2f}{mark} | {highest:.0f} | {speed} |"
         self.rows.append(row)
         self.tell(row)
         return found

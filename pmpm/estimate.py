@@ -21,9 +21,9 @@ SAMPLES, FEWEST_SAMPLES, ALL_SAMPLES = 4096, 32, 1 << 19  # places tried in a bo
 MOST_COUNTED = 20_000_000  # places that are gone through one by one; more are estimated
 MOST_STEPS = 1e11  # years of a laptop on a hundred particles
 ID_BYTES = 8
-# Of each particle while a simulation is being filled, measured: its fields this many times, and so many bytes per axis of
-# places and numbers of cells. Afterwards its fields alone are left.
-FILLING_COPIES, FILLING_BYTES = 3, 160
+# Of each particle while a simulation is being filled, measured: its fields this many times. In place it is one of a group of
+# layers, of which more is known; where a body is displaced all its particles are rows first, that go to any rank.
+FILLING, FILLING_DISPLACED = 1.25, 6.0
 LAYER_BYTES = 160  # of a layer of the grid besides its nodes: boxes, counts, starts
 MEMORY_LIMIT = "PMPM_MEMORY_LIMIT"
 CGROUPS = (  # limit and use of the memory of a container or a batch job
@@ -102,7 +102,7 @@ def memory(scene, needs, geometry, counts):
 
     sizes = [sum(fields.values()) for fields in bytes_per_particle(needs)]
     of_body = np.array([sizes[needs.laws.index(law_of_body(scene, body))] for body in scene.bodies], float)
-    filling = FILLING_COPIES * of_body + FILLING_BYTES * scene.dim
+    filling = of_body * [FILLING if body.displacement is None else FILLING_DISPLACED for body in scene.bodies]
     held = float(counts @ of_body)
     return Memory(held, float(counts @ filling), grid_bytes(needs, geometry), held if scene.guard.keep_copy else 0.0)
 

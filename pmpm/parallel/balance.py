@@ -109,11 +109,10 @@ def edges_between(counts, before, after):
     Edges on the way need not be a stencil apart: there are no time steps between.
     """
     below = sums_below(counts)
-    had, gets = np.diff(below[list(before)]), np.diff(below[list(after)])
-    first, last = np.maximum(before[:-1], after[:-1]), np.minimum(before[1:], after[1:])
-    arriving = gets - (below[np.maximum(last, first)] - below[first])
-    ways = int(np.max(np.ceil(arriving / np.maximum(SHARE * np.maximum(had, gets), FEW))))
     begin, end = below[list(before)], below[list(after)]
+    most = np.maximum(np.diff(begin), np.diff(end))
+    arriving = np.maximum(begin - end, 0)[:-1] + np.maximum(end - begin, 0)[1:]
+    ways = int(np.max(np.ceil(arriving / np.maximum(SHARE * most, FEW))))
     found = [
         tuple(int(edge) for edge in np.searchsorted(below, begin + (end - begin) * way // ways))
         for way in range(1, ways)

@@ -6,6 +6,8 @@ import several_laws
 from mpi4py import MPI
 from random_cuts import random_edges
 
+from pmpm.parallel import balance
+from pmpm.parallel import comm as communication
 from pmpm.parallel.comm import World
 from pmpm.simulation import Simulation
 
@@ -165,3 +167,35 @@ def test_migration_compiles_no_kernel_again():
         simulation.step()
     simulation.step()
     assert {name: len(kernel.signatures) for name, kernel in simulation.kernels.entries.items()} == before
+
+
+def test_cuts_that_move_far_go_in_several_ways_with_the_bits_of_one_rank(monkeypatch):
+    """At most an eighth of a rank's particles at a time, in messages of at most 1000 bytes."""
+    monkeypatch.setattr(balance, "FEW", 1)
+    monkeypatch.setattr(communication, "MESSAGE", 1000)
+    ways = []
+
+    def events(simulation, step):
+        if step == 10 and simulation.comm.size > 1:
+            before, window, layers = simulation.slabs.edges, simulation.needs.stencil.window, simulation.geometry.layers
+            few = [window * rank for rank in range(simulation.comm.size)]
+            ways.extend(simulation.ways(before, (*few, layers)))
+            simulation.regroup(edges=[*few, layers])
+        elif step == 10:
+            simulation.regroup()
+
+    assert differing(several_laws.flat(), 30, events) == []
+    assert len(ways) > 2
+
+
+def test_a_regroup_asks_nobody_but_neighbours(monkeypatch):
+    """While cuts stay, who leaves goes to the next layer: no message for all."""
+    simulation = Simulation(several_laws.flat(), COMM)
+
+    def refuse(self, counts):
+        raise AssertionError("all ranks were asked")
+
+    monkeypatch.setattr(World, "exchange_counts", refuse)
+    simulation.run(steps=40)
+    simulation.regroup(edges=simulation.slabs.edges)
+    assert simulation.regroups > 0
