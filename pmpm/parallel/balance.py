@@ -15,7 +15,7 @@ from pmpm.parallel.slabs import room
 NODE_WORK = 50  # measured: 0.45 (3-D, float32), 0.52 (3-D, float64), 0.71 (2-D) particle-steps
 MOVE_WORK = 1000  # of a particle that changes ranks, packing, sending and its share of new patches: an estimate
 MOST_MOVES = 100  # that are remembered for run.json
-SHARE = 1 / 8  # of a rank's particles that may arrive at a time: they are there twice until they are sorted in
+SHARE = 1 / 16  # of a rank's particles that may arrive at a time: they are there twice until they are sorted in
 FEW = 1 << 18  # particles that may arrive however few there are
 WORTH = 0.02  # of the busiest rank's work that new cuts must save at least
 

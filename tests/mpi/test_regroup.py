@@ -170,7 +170,7 @@ def test_migration_compiles_no_kernel_again():
 
 
 def test_cuts_that_move_far_go_in_several_ways_with_the_bits_of_one_rank(monkeypatch):
-    """At most an eighth of a rank's particles at a time, in messages of at most 1000 bytes."""
+    """At most a sixteenth of a rank's particles at a time, in messages of at most 1000 bytes."""
     monkeypatch.setattr(balance, "FEW", 1)
     monkeypatch.setattr(communication, "MESSAGE", 1000)
     ways = []

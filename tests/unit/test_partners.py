@@ -45,13 +45,13 @@ def test_a_rank_listens_to_those_who_may_send_to_it(seed, periodic):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_on_the_way_to_far_cuts_few_particles_arrive_at_a_time(seed):
-    """An eighth of what a rank has in the end or had before, and two layers, for cuts lie between layers; 3e10 particles."""
+    """A sixteenth of what a rank has in the end or had before, and two layers, for cuts lie between layers; 3e10 particles."""
     random = np.random.default_rng(seed)
     counts = random.integers(0, 3 * 10**9, LAYERS)
     before, after = random_edges(random, 4), random_edges(random, 4)
     ways = [before, *edges_between(counts, before, after)]
     below = sums_below(counts)
-    most = np.maximum(np.diff(below[list(before)]), np.diff(below[list(after)])) / 8 + 2 * counts.max()
+    most = np.maximum(np.diff(below[list(before)]), np.diff(below[list(after)])) / 16 + 2 * counts.max()
     assert ways[-1] == after
     for now, then in zip(ways[:-1], ways[1:], strict=True):
         first, last = np.maximum(now[:-1], then[:-1]), np.minimum(now[1:], then[1:])
