@@ -52,7 +52,7 @@ class Alone:
     def deliver(self, sends, receives):
         """Exchange messages, lists of (peer, tag, contiguous array of bytes), both sides knowing how long each one is. What is
         longer than MESSAGE goes in pieces."""
-        self.finish(self.start_exchange(sends, receives))
+        ToOneself(sends, receives).start()
 
     def exchange_counts(self, counts):
         """(ranks, n) integers that this rank tells each rank; returns what each rank tells this one."""
@@ -161,7 +161,9 @@ class World:
         return result
 
     def deliver(self, sends, receives):
-        self.finish(self.start_exchange(in_pieces(sends), in_pieces(receives)))
+        requests = [self.communicator.Irecv(array, peer, tag) for peer, tag, array in in_pieces(receives)]
+        requests += [self.communicator.Isend(array, peer, tag) for peer, tag, array in in_pieces(sends)]
+        self.mpi.Request.Waitall(requests)
 
     def exchange_counts(self, counts):
         counts = np.ascontiguousarray(counts)

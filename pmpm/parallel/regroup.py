@@ -30,7 +30,7 @@ def migrate(clouds, upwards, slab_axis, edges, comm, to=None, coming=None):
     `coming`: ranks that may be sent to and may send, None for all. Returns the Arrivals of each law and how many particles
     this rank sent to each rank, (ranks, laws). Joined in the order of the ranks, that is the one global order they had.
     """
-    sent, rank, laws = np.zeros((comm.size, len(clouds)), np.int64), comm.rank, len(clouds)
+    sent, rank = np.zeros((comm.size, len(clouds)), np.int64), comm.rank
     leaving, own = [], []
     for law, (cloud, up) in enumerate(zip(clouds, upwards, strict=True)):
         owner = np.searchsorted(edges[1:], cloud.node[:, slab_axis], side="right")
