@@ -38,15 +38,28 @@ def count_moves(
     """Count who will stay in each layer first .. last - 1, and who leaves each layer there is now; see `stays`."""
     for layer in range(layer_start.shape[0] - 1):
         base = first_layer + layer
+        inner = first < base < last - 1  # both neighbours are there, and this rank's
         for s in range(layer_start[layer], layer_start[layer + 1]):
             block, left = segments[s, 0], segments[s, 1]
             while left > 0:
-                for k in range(min(left, 16)):
-                    home, _ = settled(places[block, slab, k], base, half, fraction, nodes, periodic)
-                    if stays(home, base, first, last):
-                        staying[home - first] += 1
-                    else:
-                        leaving[layer] += 1
+                count = min(left, 16)
+                lower = higher = far = 0
+                for k in range(count):
+                    steps = (places[block, slab, k] + half) >> fraction
+                    lower += steps < 0
+                    higher += steps > 0
+                    far += abs(steps) > 1
+                if far == 0 and inner:
+                    staying[base - 1 - first] += lower
+                    staying[base - first] += count - lower - higher
+                    staying[base + 1 - first] += higher
+                else:
+                    for k in range(count):
+                        home, _ = settled(places[block, slab, k], base, half, fraction, nodes, periodic)
+                        if stays(home, base, first, last):
+                            staying[home - first] += 1
+                        else:
+                            leaving[layer] += 1
                 left -= 16
                 block += 1
 
