@@ -16,6 +16,7 @@ from pmpm.scene.errors import SceneError
 from pmpm.scene.seeding import meeting_later_bodies, surroundings
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
+from pmpm.state.grid import SLACK
 
 SAMPLES, FEWEST_SAMPLES, ALL_SAMPLES = 4096, 32, 1 << 19  # places tried in a body, and in all of them together
 MOST_COUNTED = 20_000_000  # places that are gone through one by one; more are estimated
@@ -24,7 +25,8 @@ ID_BYTES = 8
 # Of each particle while a simulation is being filled, measured: its fields this many times. In place it is one of a group of
 # layers, of which more is known; where a body is displaced all its particles are rows first, that go to any rank.
 FILLING, FILLING_DISPLACED = 1.25, 6.0
-LAYER_BYTES = 160  # of a layer of the grid besides its nodes: boxes, counts, starts
+LAYER_BYTES, ROW_BYTES = 160, 40  # of a layer and of a row of the grid besides its nodes: counts, starts, marks
+SPREAD = 2.0  # as many nodes as a compact block reaches: material spreads, and has more surface
 MEMORY_LIMIT = "PMPM_MEMORY_LIMIT"
 CGROUPS = (  # limit and use of the memory of a container or a batch job
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
@@ -104,14 +106,22 @@ def memory(scene, needs, geometry, counts):
     of_body = np.array([sizes[needs.laws.index(law_of_body(scene, body))] for body in scene.bodies], float)
     filling = of_body * [FILLING if body.displacement is None else FILLING_DISPLACED for body in scene.bodies]
     held = float(counts @ of_body)
-    return Memory(held, float(counts @ filling), grid_bytes(needs, geometry), held if scene.guard.keep_copy else 0.0)
+    cells = sum(count / body.particles_per_cell for count, body in zip(counts, scene.bodies, strict=True))
+    grid = grid_bytes(needs, geometry, float(cells))
+    return Memory(held, float(counts @ filling), grid, held if scene.guard.keep_copy else 0.0)
 
 
-def grid_bytes(needs, geometry):
-    """Bytes of the nodes, of what FLIP and F-bar keep besides, and of what there is per layer."""
-    nodes = float(geometry.extent(geometry.axes[0])) * math.prod(geometry.plane_shape)
+def grid_bytes(needs, geometry, cells):
+    """Bytes of the nodes when so many cells hold material, of what FLIP and F-bar keep besides, of the planes that P2G and G2P
+    work in, and of tables per row and layer."""
+    stencil, plane = needs.stencil, float(math.prod(geometry.plane_shape))
+    planes = float(geometry.extent(geometry.axes[0]))
+    side = cells ** (1.0 / needs.dim) + stencil.window - 1 + 2 * SLACK
+    nodes = min(planes * plane, SPREAD * side**needs.dim)
     grids = 1 + needs.scheme.blends + 2 * needs.f_bar
-    return nodes * 4 * np.dtype(needs.precision).itemsize * grids + geometry.layers * LAYER_BYTES
+    scratch = plane * (stencil.window + (stencil.window + stencil.nodes - 1) * grids)
+    tables = planes * geometry.plane_shape[0] * ROW_BYTES + geometry.layers * LAYER_BYTES
+    return (nodes * grids + scratch) * 4 * np.dtype(needs.precision).itemsize + tables
 
 
 def available_memory():

@@ -1,4 +1,4 @@
-"""The promise of the slabs: any number of ranks writes the same bits as one process alone, to the last file.
+"""The promise of the slabs: any number of ranks and threads writes the same bits as one process alone, to the last file.
 
 Scenes run from the command line, as users run them; every dataset of every snapshot and the text of the diagnostics are
 compared. tests/by_hand/same_bits_all.py runs the built-in scenes as they are, on up to seven ranks.
@@ -69,13 +69,14 @@ OTHER_SCENES = {
 }
 
 
-@pytest.mark.parametrize("ranks", RANKS)
+@pytest.mark.parametrize(("ranks", "threads"), [(2, 1), (3, 2), (None, 3)])
 @pytest.mark.parametrize("label", OTHER_SCENES)
-def test_several_laws_give_the_same_bits_on_any_rank_count(label, ranks, alone, tmp_path):
+def test_several_laws_give_the_same_bits_on_any_number_of_ranks_and_threads(label, ranks, threads, alone, tmp_path):
     one = alone(label, OTHER_SCENES[label])
-    bits.run(OTHER_SCENES[label], tmp_path / "run", ranks)
+    bits.run(OTHER_SCENES[label], tmp_path / "run", ranks, options=["--threads", threads])
     assert bits.differences(one, tmp_path / "run") == []
-    assert min(bits.crossings(tmp_path / "run")) > 0
+    assert min(bits.crossings(tmp_path / "run"), default=1) > 0
+    assert bits.report(tmp_path / "run")["threads"] == threads
 
 
 @pytest.mark.parametrize("ranks", RANKS)

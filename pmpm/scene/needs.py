@@ -13,7 +13,7 @@ from pmpm.state.grid import Geometry
 
 FACES = ("min", "max")
 MOST_IDS = 2**63  # ids are 64-bit integers
-MOST_NODES = 75_000_000  # of a plane: 7 planes of 4 reals are counted in 32 bits
+MOST_NODES = 59_000_000  # of a plane: 9 planes of 4 reals (a ring, cubic) are counted in 32 bits
 
 
 def law_of_body(scene, body):

@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -190,3 +191,27 @@ def test_a_second_step_begins_from_nothing(periodic):
     summed = Summed(given, grid, edges, 1)
     found = [summed.step().nodes.tobytes() for _ in range(2)]
     assert COMM.gather(found[0]) == COMM.gather(found[1])
+
+
+def test_an_exchange_allocates_nothing():
+    """After the first ones: what the interpreter makes and drops within 20 of them is less than any plane."""
+    grid = geometry("z in 3-D", True)
+    given = contributions(grid.layers, grid.plane_shape, np.float64)
+    edges = max(edges_of_all_cuts(grid.layers, COMM.size), key=lambda edges: len(set(edges)))
+    summed = Summed(given, grid, edges, 1)
+    for _ in range(3):
+        summed.step()
+    plane = 8 * 16 * int(np.diff(summed.patch.plane_start).max())
+    tracemalloc.start()
+    try:
+        held, _ = tracemalloc.get_traced_memory()
+        for _ in range(20):
+            summed.halo.start()
+            summed.halo.wait()
+            summed.halo.finish()
+        now, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert plane > 10_000
+    assert most - held < 0.3 * plane
+    assert now - held < 1000

@@ -173,8 +173,8 @@ def test_a_run_beyond_the_memory_is_refused_and_writes_nothing(folder, capsys):
 
 def test_the_limit_of_the_environment_is_the_one_that_counts(monkeypatch):
     made = scene(BOX)
-    monkeypatch.setenv("PMPM_MEMORY_LIMIT", "1000000")
-    with pytest.raises(SceneError, match=r"1.0 MB available"):
+    monkeypatch.setenv("PMPM_MEMORY_LIMIT", "100000")
+    with pytest.raises(SceneError, match=r"0.1 MB available"):
         pmpm.Simulation(made)
     monkeypatch.setenv("PMPM_MEMORY_LIMIT", str(10**18))
     assert estimate.available_memory() == 1e18
@@ -222,13 +222,20 @@ def test_ranks_on_one_machine_share_its_memory(available, fits):
             estimate.refuse_memory(made, needs, geometry, comm)
 
 
+def test_the_grid_is_that_of_the_material_and_not_of_the_domain():
+    """A thousand cells in a domain a thousand times as large: what grows are planes to work in and tables, not nodes."""
+    near, far = (scene(BOX, cell_size=cell) for cell in (0.01, 0.001))
+    sizes = [estimate.grid_bytes(scene_needs(one), geometry_of(one), 1000.0) for one in (near, far)]
+    assert sizes[1] < 10 * sizes[0]  # the nodes of the whole domain would be a hundred times as many
+
+
 def test_flip_and_f_bar_take_their_grids_besides():
     """FLIP keeps one more of them, F-bar two."""
     made = {
         name: scene(BOX, method=method)
         for name, method in {"apic": {}, "flip": {"transfer": "flip"}, "f_bar": {"f_bar": True}}.items()
     }
-    size = {name: estimate.grid_bytes(scene_needs(one), geometry_of(one)) for name, one in made.items()}
+    size = {name: estimate.grid_bytes(scene_needs(one), geometry_of(one), 100.0) for name, one in made.items()}
     grid = size["flip"] - size["apic"]
     assert grid > 0.5 * size["apic"]
     assert size["f_bar"] - size["apic"] == pytest.approx(2.0 * grid)
