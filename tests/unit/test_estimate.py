@@ -242,8 +242,8 @@ def test_flip_and_f_bar_take_their_grids_besides():
 
 
 def test_more_places_than_numbers_for_them_are_refused():
-    """4096 places in each of 8e3 x 8e3 x 1e8 cells are 2.6e19, 64-bit numbers end at 9.2e18."""
-    text = HUGE.replace("10.0, 10.0, 10.0", "8e3, 8e3, 1e8").replace("cell_size = 0.01", "cell_size = 1.0")
+    """4096 places in each of 7e3 x 7e3 x 1e8 cells are 2.0e19, 64-bit numbers end at 9.2e18."""
+    text = HUGE.replace("10.0, 10.0, 10.0", "7e3, 7e3, 1e8").replace("cell_size = 0.01", "cell_size = 1.0")
     many = text.replace("particles_per_cell = 27", "particles_per_cell = 4096")
     made = pmpm.Scene.from_text(many)
     with pytest.raises(SceneError, match="can be numbered"):
