@@ -4,7 +4,8 @@
 
 3-D water in float32, one rank. "Block": a cube of particles in a domain of its own size, and in one a hundred times as large.
 "Sheet": a disk three cells thick, normal to (1, 1, 1), in a domain as large as its own bounds, of which it fills about 1 %,
-against a cube of as many particles in a tight box. All move slowly, so that nodes are laid out anew now and then. Time:
+against one of as many particles that lies flat in a tight box; and against a cube, to tell what it costs to be thin: a
+sheet's particles reach three times the nodes of a cube's, and fewer share their stencil. All move slowly, so that nodes are laid out anew now and then. Time:
 processor time of steps, cases taken in turns in one process, medians over rounds. Memory: the largest resident size of a
 process of its own for each case, less that of one with a few hundred particles. Gate: 1.15 times the tight box.
 """
@@ -30,35 +31,38 @@ SIZES = {
     "quick": (40, 60),
     "nothing": (4, 4),
 }  # cells along a side of the block, and of the radius of the sheet
-CASES = ("tight block", "block, domain 1 % full", "tight block like the sheet", "inclined sheet")
-PAIRS = ((0, 1), (2, 3))
+CASES = ("tight block", "block, domain 1 % full", "flat sheet, tight", "inclined sheet", "cube like the sheet")
+PAIRS = ((0, 1, True), (2, 3, True), (4, 3, False))  # reference, compared, whether it is judged
 
 
 def sides(case, size):
-    """(cells of the cube or None, cells of the domain) of a case, for one of SIZES. A disk of radius r and thickness t has the
+    """(cells of the body along the axes or None, cells of the domain) of a case, for one of SIZES. A disk of radius r and thickness t has the
     volume pi r^2 t and bounds of 2 r sqrt(2/3) + t / sqrt 3: r = 72 t fills 1 % of them."""
     cells, radius = SIZES[size]
-    if case == CASES[0]:
-        return cells, cells
-    if case == CASES[1]:
-        return cells, round(cells * FULL ** (-1 / 3))
-    if case == CASES[2]:
-        cube = round((math.pi * radius**2 * THICKNESS) ** (1 / 3))
-        return cube, cube
-    return None, math.ceil(2 * radius * math.sqrt(2 / 3) + THICKNESS / math.sqrt(3))
+    cube = round((math.pi * radius**2 * THICKNESS) ** (1 / 3))
+    flat = (round(radius * math.sqrt(math.pi)),) * 2 + (THICKNESS,)
+    bounds = math.ceil(2 * radius * math.sqrt(2 / 3) + THICKNESS / math.sqrt(3))
+    return {
+        CASES[0]: ((cells,) * 3, (cells,) * 3),
+        CASES[1]: ((cells,) * 3, (round(cells * FULL ** (-1 / 3)),) * 3),
+        CASES[2]: (flat, flat),
+        CASES[3]: (None, (bounds,) * 3),
+        CASES[4]: ((cube,) * 3, (cube,) * 3),
+    }[case]
 
 
 def scene(case, size):
-    cube, domain = sides(case, size)
-    centre = [0.5 * domain * CELL] * 3
-    if cube is None:
+    body, domain = sides(case, size)
+    centre = [0.5 * cells * CELL for cells in domain]
+    if body is None:
         disk = {"center": centre, "axis": [1, 1, 1], "radius": SIZES[size][1] * CELL, "height": THICKNESS * CELL}
         shape = {"type": "cylinder", **disk}
     else:
-        low = CELL * ((domain - cube) // 2)
-        shape = {"type": "box", "min": [low] * 3, "max": [low + cube * CELL] * 3}
+        low = [(around - cells) // 2 for around, cells in zip(domain, body, strict=True)]
+        high = [first + cells for first, cells in zip(low, body, strict=True)]
+        shape = {"type": "box", "min": [CELL * c for c in low], "max": [CELL * c for c in high]}
     return pmpm.Scene(
-        domain={"size": [domain * CELL] * 3, "cell_size": CELL, "gravity": [0.0, 0.0, -9.81]},
+        domain={"size": [cells * CELL for cells in domain], "cell_size": CELL, "gravity": [0.0, 0.0, -9.81]},
         method={"precision": "float32"},
         time={"end": 10.0},
         materials={"water": {"model": "fluid", "density": 1000.0, "sound_speed": 20.0}},
@@ -147,15 +151,15 @@ def table(found, facts, held, judged):
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     good = True
-    for tight, loose in PAIRS:
+    for tight, loose, gated in PAIRS:
         for case in (CASES[tight], CASES[loose]):
             ratios = [a / b for a, b in zip(found[case], found[CASES[tight]], strict=True)]
             slow, large = statistics.median(ratios), held[case] / held[CASES[tight]]
             particles, domain = facts[case]
-            met = slow <= GATE and (large <= GATE or not judged)
+            met = not gated or (slow <= GATE and (large <= GATE or not judged))
             good &= met
             lines.append(
-                f"| {case} | {particles} | {domain}^3 | {particles / 8 / domain**3:.1%} "
+                f"| {case} | {particles} | {' x '.join(map(str, domain))} | {particles / 8 / math.prod(domain):.1%} "
                 f"| {1e9 * statistics.median(found[case]):.1f} | {slow:.2f} "
                 f"| {held[case]:.0f} | {large:.2f}{'' if met else ' **missed**'} |"
             )

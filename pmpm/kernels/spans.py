@@ -11,25 +11,28 @@ FULL = (1 << QUADS) - 1
 
 
 def mark_cells(places, segments, layer_start, middle, row, half, fraction, slack, marks):
-    """Mark where the particles of each layer stand: the first row of their stencils, and along it the quads that rows of four
-    nodes reach from there, and from up to `slack` nodes beside. middle, row: physical axes, middle < 0 in 2-D."""
+    """Mark what the particles of each layer reach, now or `slack` (a place) farther along any axis: the first rows of their
+    stencils, and along these the quads of their rows of four nodes. middle, row: physical axes, middle < 0 in 2-D."""
     last_quad = QUADS * marks.shape[2] - 1
     for layer in range(layer_start.shape[0] - 1):
         for s in range(layer_start[layer], layer_start[layer + 1]):
             block, left = segments[s, 0], segments[s, 1]
-            j = held_j = 0
-            held_k = -1 << 40
+            low_j = high_j = held_low_j = held_high_j = 0
+            held_low = held_high = -1 << 40
             while left > 0:
                 for lane in range(min(left, 16)):
-                    k = segments[s, 4] + ((places[block, row, lane] + half) >> fraction)
+                    place = int(places[block, row, lane]) + half
+                    low = segments[s, 4] + PADDING + ((place - slack) >> fraction)
+                    high = segments[s, 4] + PADDING + ((place + slack) >> fraction)
                     if middle >= 0:
-                        j = segments[s, 3] + ((places[block, middle, lane] + half) >> fraction) + PADDING
-                    if k != held_k or j != held_j:
-                        held_k, held_j = k, j
-                        first = max(k + PADDING - slack, 0) >> 2
-                        last = min((k + PADDING + slack + 3) >> 2, last_quad)
-                        for q in range(first, last + 1):
-                            marks[layer, j, q >> 5] |= 1 << (q & 31)
+                        place = int(places[block, middle, lane]) + half
+                        low_j = segments[s, 3] + PADDING + ((place - slack) >> fraction)
+                        high_j = segments[s, 3] + PADDING + ((place + slack) >> fraction)
+                    if low != held_low or high != held_high or low_j != held_low_j or high_j != held_high_j:
+                        held_low, held_high, held_low_j, held_high_j = low, high, low_j, high_j
+                        for j in range(max(low_j, 0), min(high_j + 1, marks.shape[1])):
+                            for q in range(max(low, 0) >> 2, min((high + 3) >> 2, last_quad) + 1):
+                                marks[layer, j, q >> 5] |= 1 << (q & 31)
                 block += 1
                 left -= 16
 

@@ -9,7 +9,8 @@ from pmpm.kernels.needs import Stencil
 from pmpm.kernels.places import FORMATS
 from pmpm.kernels.spans import QUADS
 
-SLACK = 1  # cells that particles may travel along an axis before nodes are laid out anew
+SLACK = 0.5  # cells that particles may travel along an axis before nodes are laid out anew
+ROUNDING = 2.0**-10  # cells: of what they travel in steps
 WINDOW_BYTES = 1 << 20  # of scratch planes that P2G keeps at a time: about what a core's own cache holds
 
 
@@ -112,10 +113,10 @@ class Patch:
         for p in populations:
             kernels.mark_cells(
                 p.places, p.segments, p.layer_start, geometry.axes[1], geometry.axes[2], form.whole(geometry.stencil.round),
-                form.fraction, SLACK, marks,
+                form.fraction, form.whole(SLACK + ROUNDING), marks,
             )  # fmt: skip
         if geometry.axes[1] >= 0:
-            marks = widened(marks, SLACK, geometry.stencil.nodes - 1 + SLACK)
+            marks = widened(marks, geometry.stencil.nodes - 1)
         planes = np.zeros((self.planes, self.rows, self.words), np.uint32)
         for k in range(geometry.stencil.window if self.layers else 0):
             planes[k : k + self.layers] |= marks
@@ -248,13 +249,11 @@ class Patch:
         return Images(low_numbers[both], high_numbers[both], start)
 
 
-def widened(marks, before, behind):
-    """Marks of rows, and of so many rows before and behind each, from 0 on."""
+def widened(marks, behind):
+    """Marks of rows, and of so many rows behind each."""
     found = marks.copy()
     for shift in range(1, behind + 1):
         found[:, shift:] |= marks[:, :-shift]
-    for shift in range(1, before + 1):
-        found[:, :-shift] |= marks[:, shift:]
     return found
 
 
