@@ -4,10 +4,11 @@
 
 3-D water in float32, one rank. "Block": a cube of particles in a domain of its own size, and in one a hundred times as large.
 "Sheet": a disk three cells thick, normal to (1, 1, 1), in a domain as large as its own bounds, of which it fills about 1 %,
-against one of as many particles that lies flat in a tight box; and against a cube, to tell what it costs to be thin: a
-sheet's particles reach three times the nodes of a cube's, and fewer share their stencil. All move slowly, so that nodes are laid out anew now and then. Time:
-processor time of steps, cases taken in turns in one process, medians over rounds. Memory: the largest resident size of a
-process of its own for each case, less that of one with a few hundred particles. Gate: 1.15 times the tight box.
+against one of as many particles that lies flat in a tight box; and against a cube, to tell what it costs to be thin: a sheet's
+particles reach three times the nodes of a cube's, and fewer share their stencil. All move slowly, so that nodes are laid out
+anew now and then. Time: processor time of steps, cases taken in turns in one process, medians over rounds. Memory: the largest
+resident size of a process of its own for each case, less that of one with a few hundred particles. Gate: 1.15 times the tight
+box, but not of the cube.
 """
 
 import argparse
@@ -36,8 +37,8 @@ PAIRS = ((0, 1, True), (2, 3, True), (4, 3, False))  # reference, compared, whet
 
 
 def sides(case, size):
-    """(cells of the body along the axes or None, cells of the domain) of a case, for one of SIZES. A disk of radius r and thickness t has the
-    volume pi r^2 t and bounds of 2 r sqrt(2/3) + t / sqrt 3: r = 72 t fills 1 % of them."""
+    """(cells of the body along the axes or None, cells of the domain) of a case, for one of SIZES. A disk of radius r and
+    thickness t has the volume pi r^2 t and bounds of 2 r sqrt(2/3) + t / sqrt 3: r = 72 t fills 1 % of them."""
     cells, radius = SIZES[size]
     cube = round((math.pi * radius**2 * THICKNESS) ** (1 / 3))
     flat = (round(radius * math.sqrt(math.pi)),) * 2 + (THICKNESS,)

@@ -64,9 +64,11 @@ def pieces(first, last, threads, least):
 
 
 class Crew:
-    """Threads that share work, of one rank. One thread is this one."""
+    """Threads that share work, of one rank. One thread is this one. Raises ValueError for less than one."""
 
     def __init__(self, threads):
+        if threads < 1:
+            raise ValueError(f"threads = {threads}: must be at least 1")
         self.threads = threads
         self.pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
