@@ -9,7 +9,7 @@ from workloads import LAWS
 FLOPS = {"W1": 1600, "W3": 1450}
 CODES = ("Taichi", "Warp", "pmpm")
 PACES = ("ordinary", "fast")
-PHASES = ("clear", "p2g", "halo", "nodes", "g2p", "regroup")
+PHASES = ("clear", "layout", "p2g", "halo", "halo wait", "nodes", "g2p", "regroup")
 # Measured once on the same kind of machine, +-15 %: double precision, 3-D, quadratic, 8 per cell, g++ -O3 -march=native.
 CPP = (
     ("W3 water", "ExaMPM + Cabana + Kokkos Serial, APIC, 983k", "961 - 1067; 586 on 2 ranks", "432 at the peak"),
