@@ -174,7 +174,7 @@ def test_a_law_has_the_kernels_that_its_scene_needs_and_no_other(more, entries):
 def test_only_several_ranks_or_a_periodic_slab_axis_need_the_kernels_of_cuts():
     made = scene(WATER)
     alone, two = (compiled_kernels(made, scene_needs(made), ranks)["shared"] for ranks in (1, 2))
-    assert set(two) - set(alone) == {"pack", "take_planes", "add_planes"}
+    assert set(two) - set(alone) == {"add_planes", "add_slots"}
 
 
 def test_a_scene_without_damping_or_gravity_compiles_no_kernel_for_them():
