@@ -359,13 +359,13 @@ class Simulation:
             self.update(low, planes - high, dt)
             self.gather(self.parts.inner, dt, extremes)
             now = self.timers.add("g2p", now)
-        now = self.finish_halo()
-        if self.parts.inner:
-            self.update(0, low, dt)
-            self.update(planes - high, planes, dt)
-        else:
-            self.update(0, planes, dt)
-        self.gather(self.parts.edges, dt, extremes)
+        if self.slabs.cuts:
+            now = self.finish_halo()
+        if self.parts.edges:
+            waiting = [(0, low), (planes - high, planes)] if self.parts.inner else [(0, planes)]
+            for first, last in waiting:
+                self.update(first, last, dt)
+            self.gather(self.parts.edges, dt, extremes)
         self.end_step(dt, extremes, now)
 
     def finish_halo(self):
