@@ -376,8 +376,8 @@ def test_a_second_start_compiles_nothing_and_an_edit_only_what_uses_it(tmp_path)
 
     first = run(tmp_path, package, cache, "first")
     kernels = first["kernels_compiled"]
-    # P2G and G2P of two laws; 2 that every scene has for its nodes, 6 to sort particles, 3 to lay nodes out; separating wall and
-    # its image; 2 of the checkpoint with which a run stops early.
+    # P2G and G2P of two laws; 2 that every scene has for its nodes, 6 to sort particles, 3 to lay nodes out; separating wall
+    # and its image; 2 of the checkpoint with which a run stops early.
     assert (
         kernels
         == 2 * 2 + len(PER_SCENE) + len(PER_PLACES) + len(SORTING) + len(LAYING_OUT) + 2 + len(OUT_OF_BLOCKS)
