@@ -87,9 +87,9 @@ def seconds_of_ordered_sum(simulation, times=7):
 
 
 class PmpmSteps:
-    def __init__(self, workload, precision, shape_function, own_law, shuffled, comm):
+    def __init__(self, workload, precision, shape_function, own_law, shuffled, comm, threads=1):
         self.workload, self.comm = workload, comm
-        self.simulation = pmpm.Simulation(scene(workload, precision, shape_function, own_law), comm)
+        self.simulation = pmpm.Simulation(scene(workload, precision, shape_function, own_law), comm, threads=threads)
         ids = self.simulation.particles.id
         self.ids = np.sort(ids if comm is None else np.concatenate(comm.allgather(ids)))
         self.particles = len(self.ids)
@@ -160,17 +160,18 @@ def main():
     options.add_argument("--shape-function", default="quadratic")
     options.add_argument("--own-law", action="store_true", help="W1 with a law given as a Python function")
     options.add_argument("--shuffled", action="store_true", help="particles in random order at the start")
-    options.add_argument("--cores", type=int, nargs="+", default=[0], help="one for each rank")
+    options.add_argument("--cores", type=int, nargs="+", default=[0], help="one for each rank or thread")
+    options.add_argument("--threads", type=int, default=1, help="of one rank that has all the cores")
     given = options.parse_args()
     comm, cores = None, given.cores
-    if len(cores) > 1:
+    if len(cores) > given.threads:
         from mpi4py import MPI
 
         comm = MPI.COMM_WORLD
         cores = [cores[comm.rank]]
     workload = Workload(given.name, given.cells, given.dim, given.length)
     chosen = given.precision, given.shape_function, given.own_law, given.shuffled
-    contest.serve(lambda: PmpmSteps(workload, *chosen, comm), cores, comm)
+    contest.serve(lambda: PmpmSteps(workload, *chosen, comm, given.threads), cores, comm)
 
 
 if __name__ == "__main__":

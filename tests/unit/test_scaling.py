@@ -157,7 +157,7 @@ def test_a_run_that_failed_stays_in_the_table():
     assert any("2 ranks ended with status 1: pmpm: nan" in line for line in table)
 
 
-@pytest.mark.parametrize(("ranks", "holds"), [(1.90, True), (1.89, False)])
-def test_two_ranks_must_reach_95_percent_of_two_processes(ranks, holds):
-    found = dict(zip(scaling_pairs.NAMES, ([1e6], [2e6], [ranks * 1e6]), strict=True))
+@pytest.mark.parametrize(("ranks", "threads", "holds"), [(1.90, 1.72, True), (1.89, 1.72, False), (1.90, 1.70, False)])
+def test_two_ranks_must_reach_95_percent_of_two_processes_and_two_threads_90_percent_of_that(ranks, threads, holds):
+    found = dict(zip(scaling_pairs.NAMES, ([1e6], [2e6], [ranks * 1e6], [threads * 1e6]), strict=True))
     assert scaling_pairs.row("W1", found)[1] is holds
