@@ -2,8 +2,8 @@
 
 Workloads W1 to W3 of docs/results/kernels.md, a million particles per rank: a single process with the other core idle, two such
 processes at once, each on a core of its own, one run on two ranks of a block of twice the length, and the same on one rank of
-two threads. They take turns of some steps (contest.py). Two processes share what the machine shares (caches, memory, clock) and nothing else, so that the ratio
-holds what pmpm's own parallel step costs: halo, ghost nodes, waiting, imbalance.
+two threads. They take turns of some steps (contest.py). Two processes share what the machine shares (caches, memory, clock)
+and nothing else, so that the ratio holds what pmpm's own parallel step costs: halo, ghost nodes, waiting, imbalance.
 """
 
 import os
