@@ -155,7 +155,7 @@ def load_on_nothing(number):
 
 def load_acts(load, geometry, seeds):
     """(n,) whether a load acts on seeds."""
-    return load.shape.contains((seeds.node + seeds.offset) * geometry.cell_size)
+    return load.shape.contains(reference_positions(geometry, seeds))
 
 
 def load_accelerations(scene, counts):

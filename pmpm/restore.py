@@ -288,6 +288,7 @@ class Continuation:
             self.own_layers = simulation.first_layer, simulation.last_layer
         simulation.populations = on_every_rank(simulation.comm, lambda: self.populations(simulation))
         simulation.held = simulation.rows()
+        simulation.share_layers()
         simulation.time, simulation.step_count, simulation.dt = record.time, record.step_count, record.dt
         simulation.first_energy, simulation.regroups = record.first_energy, record.regroups
         simulation.counts, simulation.outputs = dict(record.counts), dict(record.outputs)

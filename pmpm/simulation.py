@@ -170,9 +170,8 @@ class Simulation:
         self.parts = parts_of(
             work, self.needs.stencil.window, self.halo.low_shared, self.halo.high_shared, self.crew.threads
         )
-        taken = set(self.patch.apart[: self.kept_by_halo])
         del self.patch.apart[self.kept_by_halo :]
-        self.apart = self.patch.keep_apart([pair for pair in self.parts.apart if pair not in taken])
+        self.apart = self.patch.keep_apart(list(self.parts.apart))
         self.patch.stale = True
 
     def lay_out(self):
@@ -384,7 +383,7 @@ class Simulation:
             extremes[FAILED] = -self.failure["step"]
         extremes[REQUEST], self.request = self.request, 0
         extremes[GRADIENT] /= float(dt) ** 2
-        self.patch.travelled += self.steps.max()
+        self.patch.travelled += self.steps.max() + self.needs.places.unit  # to which places are rounded
         self.drive.finish(dt)
         self.control.start(self.step_count + 1, float(dt), extremes)
         self.timers.add("g2p", began)
@@ -486,6 +485,8 @@ class Simulation:
 
     def update(self, first, last, dt):
         """`update_planes` by all threads: walls couple nodes of a few planes, which one thread does."""
+        for region in self.drive.regions:
+            region.nodes()  # once, before threads ask
         ranges = pieces(first, last, self.crew.threads, self.needs.stencil.window)
         self.crew.share(lambda planes, thread: self.update_planes(planes, dt), ranges)
 

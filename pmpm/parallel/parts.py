@@ -6,7 +6,7 @@ before it, what its layers give to planes that earlier layers reach, too, is kep
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +80,9 @@ class Crew:
         for begin in range(0, len(ranges), self.threads):
             mine, *others = ranges[begin : begin + self.threads]
             waiting = [self.pool.submit(work, part, thread) for thread, part in enumerate(others, 1)]
-            found.append(work(mine, 0))
+            try:
+                found.append(work(mine, 0))
+            finally:
+                wait(waiting)
             found += [other.result() for other in waiting]
         return found

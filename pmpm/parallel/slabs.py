@@ -39,8 +39,9 @@ class Slabs:
     edges: tuple[int, ...]
 
     def __post_init__(self):
-        window = self.reach_low + self.reach_high + 1
         widths = np.diff(self.edges)
+        alone = self.active == 1 and not self.periodic  # nothing is shared
+        window = 1 if alone else self.reach_low + self.reach_high + 1
         if (
             self.edges[0] != 0
             or self.edges[-1] != self.layers

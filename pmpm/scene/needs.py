@@ -74,7 +74,8 @@ def check_axes(geometry):
         name, cells, window = "xyz"[axis], geometry.cells[axis], geometry.stencil.window
         if geometry.periodic[axis] and cells < window:
             raise SceneError(f"scene: domain.periodic: axis {name} has {cells} cells, a periodic axis needs {window}")
-    nodes = math.prod(geometry.plane_shape)
+    rows, row = geometry.plane_shape
+    nodes = rows * (row + 3)  # in whole quads
     if nodes > MOST_NODES:
         raise SceneError(f"scene: domain.cell_size: a plane of the grid has {nodes} nodes; at most {MOST_NODES}")
 

@@ -105,7 +105,8 @@ def seed_planes(scene, geometry, number, first_layer, last_layer, around):
     # Layers centred on nodes hold halves of two cells, layer 0 of a periodic axis also one of the last cell.
     planes = range(max(first_cell[slab], first_layer - 1), min(last_cell[slab], last_layer + 1))
     end = geometry.cells[slab] - 1
-    wraps = geometry.periodic[slab] and first_layer == 0 and end > 0 and first_cell[slab] <= end < last_cell[slab]
+    holds_seam = geometry.periodic[slab] and first_layer == 0 < last_layer
+    wraps = holds_seam and end > 0 and first_cell[slab] <= end < last_cell[slab]
     found = [(plane, plane, first_layer, last_layer) for plane in planes if plane <= 0]
     found += [(0, end, 0, 1)] if wraps else []
     found += [

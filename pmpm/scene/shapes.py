@@ -54,8 +54,9 @@ class Sphere(Part):
     def contains(self, points: np.ndarray) -> np.ndarray:
         """Say which of the points (n, dim), m, lie inside: bool (n,)."""
         # Measured in radii, so that neither tiny nor huge scenes leave the range of the numbers.
-        offset = (points - np.array(self.center)) / self.radius
-        return np.sum(offset * offset, axis=1) <= 1.0
+        with np.errstate(over="ignore"):  # far outside of the tiniest
+            offset = (points - np.array(self.center)) / self.radius
+            return np.sum(offset * offset, axis=1) <= 1.0
 
     def bounds(self) -> Bounds:
         """Return the corners (low, high) of the surrounding box, (dim,) each, m."""
@@ -96,10 +97,11 @@ class Cylinder(Part):
 
     def contains(self, points: np.ndarray) -> np.ndarray:
         """Say which of the points (n, 3), m, lie inside: bool (n,)."""
-        offset = (points - np.array(self.center)) / self.radius
-        along = offset @ self.direction()
-        across = offset - along[:, None] * self.direction()
-        return (np.abs(along) <= 0.5 * self.height / self.radius) & (np.sum(across * across, axis=1) <= 1.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # far outside of the tiniest
+            offset = (points - np.array(self.center)) / self.radius
+            along = offset @ self.direction()
+            across = offset - along[:, None] * self.direction()
+            return (np.abs(along) <= 0.5 * self.height / self.radius) & (np.sum(across * across, axis=1) <= 1.0)
 
     def bounds(self) -> Bounds:
         """Return the corners (low, high) of the surrounding box, (3,) each, m."""

@@ -58,6 +58,22 @@ def test_no_mass_is_lost_by_particles_that_fly_as_fast_as_they_may():
     assert simulation.regroups <= 2
 
 
+def test_what_particles_travel_is_never_taken_for_less_than_it_is():
+    """Places are rounded to the nearest unit: a particle whose steps are 100.55 units long moves 101 in each."""
+    unit = 2.0**-24
+    simulation = flying(
+        (12, 12), [(4, 4)], [0.0, -100.55 * unit * CELL / 2.0**-10], 2, precision="float32", transfer="pic"
+    )
+    simulation.control.fixed_step = 2.0**-10
+    before = simulation.populations[0].places[:, 1].astype(int)
+    for _ in range(500):
+        simulation.step()
+    moved = np.abs(simulation.populations[0].places[:, 1] - before).max()
+    assert simulation.regroups == 0
+    assert moved == 500 * 101
+    assert moved * unit <= simulation.patch.travelled <= 1.02 * moved * unit
+
+
 def nodes_of(simulation):
     simulation.step()
     return simulation.patch.quads

@@ -148,3 +148,12 @@ def test_a_misfit_within_a_shape_has_its_path():
 def test_a_box_turned_inside_out_is_refused():
     with pytest.raises(SceneError, match=r"^box: max\[1\] = -1.0 must be > min\[1\] = 0.0 m$"):
         Box(min=[0, 0], max=[1, -1])
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "shape",
+    [Sphere(center=[0.5] * 3, radius=1e-200), Cylinder(center=[0.5] * 3, axis="z", radius=1e-310, height=1e-310)],
+)
+def test_points_are_far_outside_of_the_tiniest_shapes_without_a_warning(shape):
+    assert not shape.contains(np.array([[0.0, 0.0, 0.0], [1e3, -1e3, 0.25]])).any()

@@ -9,8 +9,10 @@ import pytest
 from broken_scenes import GOOD
 
 import pmpm
+from pmpm import populate
 from pmpm.explain import explain
 from pmpm.scene.errors import NotBuilt
+from pmpm.scene.needs import grid_geometry, scene_needs
 
 RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e5, "poisson_ratio": 0.3}
 SAND = RUBBER | {"model": "drucker_prager", "friction_angle": 30.0}
@@ -253,3 +255,52 @@ def test_what_other_keys_of_a_file_take_is_still_no_function():
     table["bodies"][0]["particles_per_cell"] = swirl
     with pytest.raises(NotBuilt, match=r"bodies\[0\].particles_per_cell"):
         pmpm.Scene(**table)
+
+
+# ---- the seam of a periodic axis -----------------------------------------------------------------------------------------
+
+
+def ring():
+    """Five cells around, with a load on all of them."""
+    whole = {"type": "box", "min": [0.0, 0.0], "max": [0.5, 0.2]}
+    return pmpm.Scene(
+        domain={"size": [0.5, 0.4], "cell_size": 0.1, "periodic": ["x"], "gravity": [0.0, 0.0]},
+        time={"end": 1.0},
+        parallel={"slab_axis": "x"},
+        materials={"stuff": WATER},
+        bodies=[{"material": "stuff", "shape": whole, "particles_per_cell": 4}],
+        loads=[{"shape": whole, "acceleration": [1.0, 0.0]}],
+    )
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 5, 6, 12])
+def test_seeds_of_the_seam_are_counted_once_on_any_number_of_ranks(ranks):
+    """4 of each cell, 2 cells across, also where there are more ranks than layers."""
+    made = ring()
+    geometry = grid_geometry(made, scene_needs(made))
+    found = [populate.counted(made, geometry, *(geometry.layers * r // ranks for r in (rank, rank + 1)))
+             for rank in range(ranks)]  # fmt: skip
+    counts, loaded = (sum(parts) for parts in zip(*found, strict=True))
+    assert counts.ravel().tolist() == [8] * 5
+    assert loaded.ravel().tolist() == [40]
+
+
+def test_a_load_on_a_whole_ring_acts_on_those_beside_the_seam_too():
+    simulation = pmpm.Simulation(ring())
+    load = simulation.populations[0].rows(simulation.layouts[0].where("load"))
+    assert len(load) == 40
+    assert (load == [1.0, 0.0]).all()
+
+
+def test_fewer_layers_than_a_stencil_belong_to_one_rank():
+    """3 x 2 cells have 4 layers, a stencil with its padding reaches 5 planes."""
+    made = pmpm.Scene(
+        domain={"size": [0.3, 0.2], "cell_size": 0.1, "gravity": [0.0, -9.81]},
+        time={"end": 1.0},
+        materials={"stuff": WATER},
+        bodies=[{"material": "stuff", "shape": {"type": "box", "min": [0.0, 0.0], "max": [0.3, 0.1]}}],
+    )
+    simulation = pmpm.Simulation(made, threads=3)
+    mass = simulation.measure()["mass"]
+    simulation.run(steps=20)
+    assert simulation.patch.nodes[:, 3].sum() == pytest.approx(mass, rel=1e-12)
