@@ -85,7 +85,7 @@ class Beginning:
         if count:
             try:
                 key = "velocity"
-                reals[:, layout.where("v")] = vectors(geometry, seeds, body.velocity)
+                reals[:, layout.where("v")] = in_precision(vectors(geometry, seeds, body.velocity), simulation.real)
                 key = "stress" if body.stress is not None else "deformation"
                 reals[:, layout.state_first :] = first_states(simulation, law, number, seeds)
                 if body.displacement is not None:
@@ -95,7 +95,8 @@ class Beginning:
             except Unfit as complaint:
                 complaints.setdefault((law, number, KEYS.index(key)), complaint_text(number, body, key, complaint))
         if layout.where("load"):
-            reals[:, layout.where("load")] = loads_on(simulation.scene, geometry, self.loads[:, number], seeds)
+            with np.errstate(over="ignore"):  # an endless load has no time step
+                reals[:, layout.where("load")] = loads_on(simulation.scene, geometry, self.loads[:, number], seeds)
         if layout.where("X"):
             reals[:, layout.where("X")] = reference_positions(geometry, seeds)
         return seeded
@@ -212,6 +213,15 @@ def in_layers(geometry, seeds, compute):
 def vectors(geometry, seeds, field):
     """(n, dim) a constant or a function of position."""
     return in_layers(geometry, seeds, partial(start.evaluate, field, shape=(geometry.dim,)))
+
+
+def in_precision(values, real):
+    """Reals of the scene's precision. Raises Unfit where one is too large for it."""
+    with np.errstate(over="ignore"):
+        found = values.astype(real)
+    if not np.isfinite(found).all():
+        raise Unfit(f"is too large for {np.dtype(real).name}")
+    return found
 
 
 def displaced(geometry, body, seeds):

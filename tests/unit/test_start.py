@@ -11,7 +11,7 @@ from broken_scenes import GOOD
 import pmpm
 from pmpm import populate
 from pmpm.explain import explain
-from pmpm.scene.errors import NotBuilt
+from pmpm.scene.errors import NotBuilt, SceneError
 from pmpm.scene.needs import grid_geometry, scene_needs
 
 RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e5, "poisson_ratio": 0.3}
@@ -255,6 +255,14 @@ def test_what_other_keys_of_a_file_take_is_still_no_function():
     table["bodies"][0]["particles_per_cell"] = swirl
     with pytest.raises(NotBuilt, match=r"bodies\[0\].particles_per_cell"):
         pmpm.Scene(**table)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_velocity_beyond_the_precision_is_refused():
+    """What steps would be too short for is refused before, but float32 would make an infinite speed of it, which bounds nothing."""
+    made = scene(WATER, "float32", velocity=[1e200, 0.0])
+    with pytest.raises(SceneError, match=r"bodies\[0\].velocity is too large for float32"):
+        pmpm.Simulation(made)
 
 
 # ---- the seam of a periodic axis -----------------------------------------------------------------------------------------
