@@ -259,7 +259,7 @@ def test_what_other_keys_of_a_file_take_is_still_no_function():
 
 @pytest.mark.filterwarnings("error")
 def test_a_velocity_beyond_the_precision_is_refused():
-    """What steps would be too short for is refused before, but float32 would make an infinite speed of it, which bounds nothing."""
+    """In float32 it would be infinite, which bounds no step."""
     made = scene(WATER, "float32", velocity=[1e200, 0.0])
     with pytest.raises(SceneError, match=r"bodies\[0\].velocity is too large for float32"):
         pmpm.Simulation(made)
