@@ -73,7 +73,7 @@ class Cloud:
 
     @staticmethod
     def row_bytes(size, dim, real):
-        """Bytes of a particle in `to_bytes`."""
+        """Bytes of a particle in a message."""
         return size * np.dtype(real).itemsize + 4 * dim + 4 + 8
 
     @staticmethod
