@@ -219,7 +219,7 @@ def in_rounds(comm, groups, columns, dtype):
     left = iter(pieces_of(groups))
     while True:
         rows = next(left, None)
-        if not comm.max(np.array([rows is not None]))[0]:
+        if not comm.max(np.array([rows is not None], np.int64))[0]:
             return
         yield np.empty((0, *columns), dtype) if rows is None else rows
 
