@@ -288,7 +288,6 @@ class Continuation:
             self.own_layers = simulation.first_layer, simulation.last_layer
         simulation.populations = on_every_rank(simulation.comm, lambda: self.populations(simulation))
         simulation.held = simulation.rows()
-        simulation.share_layers()
         simulation.time, simulation.step_count, simulation.dt = record.time, record.step_count, record.dt
         simulation.first_energy, simulation.regroups = record.first_energy, record.regroups
         simulation.counts, simulation.outputs = dict(record.counts), dict(record.outputs)
@@ -298,6 +297,8 @@ class Continuation:
             nowhere = (0,) * (simulation.comm.size + 1)
             found = [simulation.leaving(p, nowhere, self.geometry) for p in simulation.populations]
             simulation.regroup(clouds=[of_law.others for of_law in found])
+        else:
+            simulation.share_layers()
         simulation.note_loads()
         if simulation.energy_watch is not None and record.energy is not None:
             simulation.energy_watch.resume(record.energy.model_dump())
