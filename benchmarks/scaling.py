@@ -48,24 +48,23 @@ def counts(text):
     return found
 
 
-def positive(text):
-    try:
-        number = int(text)
-    except ValueError:
-        number = 0
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
-    return number
+def checked(kind, wanted, allowed):
+    """A reader of numbers for argparse: `wanted` says which are `allowed`."""
+
+    def read(text):
+        try:
+            number = kind(text)
+        except ValueError:
+            number = None
+        if number is None or not allowed(number):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
+        return number
+
+    return read
 
 
-def length(text):
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not 0.0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-    return number
+positive = checked(int, "a whole number of at least 1", lambda number: number >= 1)
+length = checked(float, "a positive number", lambda number: 0.0 < number < float("inf"))
 
 
 def parser():

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pmpm.kernels import lane_loops, loops, scalar_loops, sorting, spans, targets
+from pmpm.kernels.alignment import CACHE_LINE, aligned
 from pmpm.kernels.lanes import WIDTH
 from pmpm.physics import boundary
 
@@ -26,7 +27,6 @@ SORTING = ("cell_order", "cut_segments")
 LAYING_OUT = ("mark_cells", "find_spans", "place_spans")
 OUT_OF_BLOCKS = ("take_rows", "take_positions")  # called, hence compiled, only where a checkpoint is written
 LOOPS = {"lanes": lane_loops, "scalar": scalar_loops}
-CACHE_LINE = 64  # bytes
 VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
 
 
@@ -94,13 +94,6 @@ def chosen_loops():
     """PMPM_LOOPS if it is set, which may be anything; else the name of the faster of LOOPS on this machine: `scalar` where
     nobody has tried the vectors."""
     return os.environ.get("PMPM_LOOPS") or ("lanes" if platform.machine().lower() in VECTOR_MACHINES else "scalar")
-
-
-def aligned(count, dtype):
-    """Zeros that begin a cache line."""
-    room = np.zeros(count * np.dtype(dtype).itemsize + CACHE_LINE, np.uint8)
-    first = -room.ctypes.data % CACHE_LINE
-    return room[first : first + count * np.dtype(dtype).itemsize].view(dtype)
 
 
 def row_constants(stencil, real):

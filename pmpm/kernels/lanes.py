@@ -214,22 +214,6 @@ def where(typingctx, condition, a, b):
     return result(condition, result, result), lower
 
 
-def extreme_lane(symbol):
-    """Lowering of the smallest or the largest lane: halves are compared until one element is left."""
-    extreme = defined_by_comparison(symbol)
-
-    def lower(context, builder, sig, arguments):
-        (vector,) = arguments
-        width = vector.type.count
-        while width > 1:
-            width //= 2
-            low, high = (shuffled(builder, vector, vector, list(range(s, s + width))) for s in (0, width))
-            vector = extreme(builder, low, high)
-        return builder.extract_element(vector, ir.Constant(BITS, 0))
-
-    return lower
-
-
 @intrinsic
 def any_of(typingctx, condition):
     """Whether the condition holds in at least one lane; a plain bool is returned as it is."""
@@ -245,14 +229,19 @@ def any_of(typingctx, condition):
 
 @intrinsic
 def largest_lane(typingctx, values):
-    """The largest of the lanes."""
-    return values.element(values), extreme_lane(">")
+    """The largest of the lanes: halves are compared until one element is left."""
+    larger = defined_by_comparison(">")
 
+    def lower(context, builder, sig, arguments):
+        (vector,) = arguments
+        width = vector.type.count
+        while width > 1:
+            width //= 2
+            low, high = (shuffled(builder, vector, vector, list(range(s, s + width))) for s in (0, width))
+            vector = larger(builder, low, high)
+        return builder.extract_element(vector, ir.Constant(BITS, 0))
 
-@intrinsic
-def smallest_lane(typingctx, values):
-    """The smallest of the lanes."""
-    return values.element(values), extreme_lane("<")
+    return values.element(values), lower
 
 
 @intrinsic

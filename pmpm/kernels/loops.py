@@ -167,12 +167,13 @@ def unfold_plane(nodes, plane, spans, row_start, first_quads, corner, ring, at):
             store(out, o + q, load(values, frm + q))
 
 
-def unfold(nodes, plane, spans, row_start, first_quads, corner, ring):
-    """Bring a plane into the ring."""
-    at = plane % WINDOW
-    unfold_plane(nodes, plane, spans, row_start, first_quads, corner, ring, at)
-    if at < NODES - 1:
-        unfold_plane(nodes, plane, spans, row_start, first_quads, corner, ring, at + WINDOW)
+def unfold(nodes, unfolded, layer, spans, row_start, first_quads, corner, ring):
+    """Bring the planes that a layer reaches into the ring, those from plane `unfolded` on."""
+    for plane in range(max(unfolded, layer), layer + WINDOW):
+        at = plane % WINDOW
+        unfold_plane(nodes, plane, spans, row_start, first_quads, corner, ring, at)
+        if at < NODES - 1:
+            unfold_plane(nodes, plane, spans, row_start, first_quads, corner, ring, at + WINDOW)
 
 
 # ---- nodes ---------------------------------------------------------------------------------------------------------------

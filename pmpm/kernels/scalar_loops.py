@@ -265,12 +265,11 @@ def g2p(
     for layer in range(first_layer, last_layer):
         if layer_start[layer] == layer_start[layer + 1]:
             continue
-        for number in range(max(unfolded, layer), layer + WINDOW):
-            unfold(nodes, number, spans, row_start, first_quads, corner, ring)
-            if BLENDS:
-                unfold(nodes_before, number, spans, row_start, first_quads, corner, ring_before)
-            if F_BAR:
-                unfold(nodes_divergence, number, spans, row_start, first_quads, corner, ring_divergence)
+        unfold(nodes, unfolded, layer, spans, row_start, first_quads, corner, ring)
+        if BLENDS:
+            unfold(nodes_before, unfolded, layer, spans, row_start, first_quads, corner, ring_before)
+        if F_BAR:
+            unfold(nodes_divergence, unfolded, layer, spans, row_start, first_quads, corner, ring_divergence)
         unfolded = layer + WINDOW
         for s in range(layer_start[layer], layer_start[layer + 1]):
             row = segments[s, 2]
@@ -363,8 +362,7 @@ def measure_divergence(
     for layer in range(first_layer, last_layer):
         if layer_start[layer] == layer_start[layer + 1]:
             continue
-        for number in range(max(unfolded, layer), layer + WINDOW):
-            unfold(nodes, number, spans, row_start, first_quads, corner, ring)
+        unfold(nodes, unfolded, layer, spans, row_start, first_quads, corner, ring)
         unfolded = layer + WINDOW
         for s in range(layer_start[layer], layer_start[layer + 1]):
             for n in range(segments[s, 1]):

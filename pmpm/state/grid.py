@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmpm.kernels.build import aligned
+from pmpm.kernels.alignment import aligned
 from pmpm.kernels.needs import Stencil
 from pmpm.kernels.places import FORMATS
 from pmpm.kernels.spans import QUADS
@@ -200,12 +200,6 @@ class Patch:
             self.rooms[name] = aligned(size + size // 8, self.real)
         return self.rooms[name][:size].reshape(-1, 4)
 
-    @property
-    def nbytes(self):
-        """Bytes of nodes and scratch."""
-        tables = (self.spans, self.first_quads, self.row_start, self.placed, self.placed_start, self.slots)
-        return sum(room.nbytes for room in (*self.rooms.values(), *tables))
-
     def find(self, plane, middle, node):
         """Numbers of nodes by their plane, row and number in the row, arrays; -1 where there is none."""
         plane, middle, node = np.broadcast_arrays(plane, middle, node)
@@ -258,8 +252,11 @@ def widened(marks, behind):
 
 
 def share(planes, place, groups, pairwise=False):
-    """Let planes, rows or nodes (by place) have the marks of each other: all of the groups, or the n-th of each."""
-    if place == 2:  # in quads: a few nodes more than needed
+    """Let planes, rows or nodes (by place) have the marks of each other: all of the groups, or the n-th of each.
+
+    Sharing along one axis leaves what is shared along another one as it is, so that once each is enough.
+    """
+    if place == 2:  # in quads, all with all: a few nodes more than needed
         quads = sorted({node >> 2 for group in groups for node in group if node >= 0})
         bits = [(quad // QUADS, np.uint32(1 << (quad % QUADS))) for quad in quads]
         held = np.zeros(planes.shape[:2], bool)

@@ -6,17 +6,15 @@ import mmap
 
 import numpy as np
 
-LINE = 64  # bytes of a cache line
+from pmpm.kernels.alignment import aligned
+
 PIECE = 1 << 22  # bytes that are worth a call to the system
 
 
 def room(rows, columns, dtype):
     """Rows of uninitialised numbers that begin a cache line. What nobody writes to takes no memory."""
-    shape, size = (rows, *columns), np.dtype(dtype).itemsize
-    count = int(np.prod(shape, dtype=np.int64))
-    memory = np.empty(count * size + LINE, np.uint8)
-    first = -memory.ctypes.data % LINE
-    return memory[first : first + count * size].view(dtype).reshape(shape)
+    shape = (rows, *columns)
+    return aligned(int(np.prod(shape, dtype=np.int64)), dtype, np.empty).reshape(shape)
 
 
 def release(array):

@@ -3,14 +3,13 @@
 import functools
 import itertools
 import tracemalloc
-from types import SimpleNamespace
 
+import node_kernels
 import numpy as np
 import pytest
 from mpi4py import MPI
+from node_kernels import kernels
 
-from pmpm.kernels import loops, spans, targets
-from pmpm.kernels.build import PER_CUT
 from pmpm.kernels.needs import STENCILS
 from pmpm.parallel.comm import World
 from pmpm.parallel.halo import Halo
@@ -29,7 +28,6 @@ GRIDS = {  # cells and array axes of the slab axis x, y, z
     "y in 2-D": ((ALONG, CELLS), (1, -1, 0)),
     "z in 3-D": ((4, ALONG, CELLS), (2, 0, 1)),
 }
-REAL_KERNELS = ("find_spans", "place_spans")
 
 
 def geometry(grid, periodic):
@@ -66,25 +64,15 @@ def contributions(layers, shape, real):
     return values.reshape(layers, WINDOW, held.shape[1], -1, 4).astype(real)
 
 
-@functools.cache
-def kernels(real):
-    """The loops over nodes of a scene, and `fold_layer`."""
-    target = targets.scalar(real)
-    entries = {name: target.entry(getattr(loops, name)) for name in PER_CUT}
-    entries |= {name: target.entry(getattr(spans, name)) for name in REAL_KERNELS}
-    return SimpleNamespace(**entries, fold_layer=target.compile(loops.fold_layer))
-
-
 def lay_out(patch, shape):
     """Let a patch take the nodes of `quads_of_layers`, as if particles had marked them."""
     held = quads_of_layers(patch.geometry.layers, shape)[patch.first_layer : patch.first_layer + patch.layers]
     bits = np.packbits(held, axis=2, bitorder="little")
 
-    def mark(*arguments):
-        arguments[-1].view(np.uint8)[:, :, : bits.shape[2]] |= bits
+    def mark(marks):
+        marks.view(np.uint8)[:, :, : bits.shape[2]] |= bits
 
-    population = SimpleNamespace(places=None, segments=None, layer_start=None)
-    patch.lay_out([population], SimpleNamespace(**vars(kernels(patch.real)) | {"mark_cells": mark}), [])
+    node_kernels.lay_out(patch, mark)
 
 
 def fold(given, first, last, patch):
