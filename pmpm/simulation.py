@@ -32,13 +32,15 @@ from pmpm.parallel.slabs import Slabs, room
 from pmpm.particle_access import Particles
 from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
-from pmpm.state.assembly import Arrivals, assemble, leaving, settle
+from pmpm.state.assembly import Arrivals, Assembly, leaving, settle
 from pmpm.state.derived import PARAMETERS, DerivedFields
 from pmpm.state.fields import Layout
 from pmpm.state.grid import SLACK, Patch
 from pmpm.state.particles import Cloud, Population, layer_groups
 from pmpm.timestep import FAILED, FORCE, GRADIENT, LAG, REQUEST, SPEED, WAVE, StepControl
 from pmpm.watching import STOP, Observer, Timers, next_count, spread
+
+WORTH_SHARING = 1 << 15  # nodes: to clear fewer takes no longer than to wake a thread
 
 
 class Simulation:
@@ -150,7 +152,7 @@ class Simulation:
         """Order the particles of each law in the layers that `edges` give this rank: those who stay and those who arrive."""
         first, last = edges[self.comm.rank], edges[self.comm.rank + 1]
         for law, layout in enumerate(self.layouts):
-            self.populations[law] = assemble(
+            self.populations[law] = Assembly(
                 self.populations[law],
                 found[law].staying,
                 arrived[law],
@@ -160,7 +162,7 @@ class Simulation:
                 last - first,
                 len(self.scene.bodies),
                 self.pad_values(layout),
-            )
+            ).whole(self.crew)
             arrived[law] = None
         self.held = self.rows()
 
@@ -176,7 +178,8 @@ class Simulation:
 
     def lay_out(self):
         """Take the nodes that the particles reach now."""
-        self.patch.lay_out(self.populations, self.kernels, [(wall.place, wall.on) for wall in self.walls])
+        mirrors = [(wall.place, wall.on) for wall in self.walls]
+        self.patch.lay_out(self.populations, self.kernels, mirrors, self.crew, [*self.parts.edges, *self.parts.inner])
         for wall in self.walls:
             wall.lay_out(self.patch)
         self.drive.lay_out()
@@ -453,7 +456,10 @@ class Simulation:
         Returns the number of runs of particles with the same stencil.
         """
         began = clock.perf_counter()
-        self.patch.nodes[:] = 0.0
+        nodes = self.patch.nodes
+        self.crew.share(
+            lambda part, _: nodes[slice(*part)].fill(0.0), pieces(0, len(nodes), self.crew.threads, WORTH_SHARING)
+        )
         runs = self.sum_layers(self.parts.edges, dt, p2g)
         began = self.timers.add("p2g", began)
         self.halo.start()
@@ -616,7 +622,7 @@ class Simulation:
         others = None if displaced is None else [arrivals.cloud for arrivals in self.deliver(displaced)[0]]
         self.populations = settle(
             batches, others, counts, self.geometry, self.kernels, self.first_layer, self.last_layer - self.first_layer,
-            len(self.scene.bodies), [self.pad_values(layout) for layout in self.layouts],
+            len(self.scene.bodies), [self.pad_values(layout) for layout in self.layouts], self.crew,
         )  # fmt: skip
         self.held = self.rows()
         self.share_layers()

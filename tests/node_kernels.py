@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 from pmpm.kernels import loops, spans, targets
 from pmpm.kernels.build import LAYING_OUT, PER_CUT
+from pmpm.parallel.parts import Crew
 
 NOBODY = SimpleNamespace(places=None, segments=None, layer_start=None)
 
@@ -25,4 +26,6 @@ def lay_out(patch, mark):
     def mark_cells(*arguments):
         mark(arguments[-1])
 
-    patch.lay_out([NOBODY], SimpleNamespace(**vars(kernels(patch.real)) | {"mark_cells": mark_cells}), [])
+    patch.lay_out(
+        [NOBODY], SimpleNamespace(**vars(kernels(patch.real)) | {"mark_cells": mark_cells}), [], Crew(1), [(0, 0)]
+    )

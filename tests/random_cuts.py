@@ -11,7 +11,9 @@ import several_laws
 from bits import state_bits
 
 from pmpm.simulation import Simulation
+from pmpm.state import particles
 
+GROUPS = 1, 100, particles.GROUP
 STEPS, OFTEN, LOOKS = 40, 0.25, 0.2  # a share of the steps regroups, a share of those by the balance
 CASES = {fast_and_scalar.label(row): lambda row=row: fast_and_scalar.scene(row) for row in fast_and_scalar.PAIRS} | {
     "flat, periodic, float32": lambda: several_laws.flat(precision="float32"),
@@ -62,9 +64,10 @@ def bits_of_one(case, comm):
 
 
 def cut_at_random(case, seed, comm):
-    """(what all ranks end with, the edges they had, particles sent to other ranks) with cuts drawn from a seed and one to
-    three threads per rank. Collective."""
+    """(what all ranks end with, the edges they had, particles sent to other ranks) with cuts drawn from a seed, one to three
+    threads per rank and groups of particles of that many sizes in a regroup. Collective."""
     threads = 1 + (comm.rank + seed) % 3
+    particles.GROUP = GROUPS[(comm.rank + seed // 2) % len(GROUPS)]
     simulation, random, edges = Simulation(CASES[case](), comm, threads=threads), np.random.default_rng(seed), []
     for regroup in regroups():
         if regroup:

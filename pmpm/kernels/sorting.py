@@ -2,7 +2,7 @@
 
 A regroup goes through the layers in groups, so that what it notes of each particle is of one group alone. Those candidates
 stand in the order of the particles, `homes[axis]` too; `source[n]` is where candidate n comes from: a lane (16 block + lane)
-of the blocks it lay in, or -1 - k for row k of those that arrived from elsewhere.
+of the blocks it lay in, or -1 - k for row k of those that arrived from elsewhere. A candidate that leaves has home NOWHERE.
 """
 
 import numpy as np
@@ -12,6 +12,7 @@ from pmpm.kernels.places import NEAR, REACH
 
 SEGMENT_COLUMNS = 5
 AHEAD = 48  # particles
+NOWHERE = -1  # a layer that no group has
 
 
 def stays(home, layer, first, last):
@@ -100,7 +101,7 @@ def loosen(
     places, segments, layer_start, first_layer, begin, end, first, last, half, fraction, axes, nodes, periodic, n, homes,
     bodies, source,
 ):  # fmt: skip
-    """Candidates from number `n` on: those of layers begin .. end - 1 that stay. Returns how many candidates there are then.
+    """Candidates from number `n` on: all of layers begin .. end - 1.
 
     Their places count from their home nodes afterwards, see `settled`.
     """
@@ -125,10 +126,11 @@ def loosen(
                 for k in range(count):
                     bodies[n + k] = body
                     source[n + k] = 16 * block + k
-                n = drop_leaving(homes, source, n, count, first_layer + layer, first, last, axes[0])
+                    if not stays(homes[axes[0], n + k], first_layer + layer, first, last):
+                        homes[axes[0], n + k] = NOWHERE
+                n += count
                 left -= count
                 block += 1
-    return n
 
 
 def settle(places, homes, first, count, base, half, fraction):
@@ -139,25 +141,10 @@ def settle(places, homes, first, count, base, half, fraction):
         homes[first + k] = base + steps
 
 
-def drop_leaving(homes, source, n, count, layer, first, last, slab):
-    """Close up the candidates n .. n + count - 1 of one body to those that stay; returns the number after them."""
-    staying = 0
-    for k in range(n, n + count):
-        staying += stays(homes[slab, k], layer, first, last)
-    if staying < count:
-        there = n
-        for k in range(n, n + count):
-            if stays(homes[slab, k], layer, first, last):
-                for axis in range(homes.shape[0]):
-                    homes[axis, there] = homes[axis, k]
-                source[there] = source[k]
-                there += 1
-    return n + staying
-
-
-def cell_order(homes, bodies, candidates, axes, first_layer, layers, body_count, count, scratch, order):
-    """The order by (layer, body, middle, row), stable, of those candidates that come into these layers, as many as `order` has
-    room for. `count` needs room for layers x bodies, for nodes of an axis and for as many numbers as `order`.
+def cell_order(homes, bodies, ranges, axes, first_layer, layers, body_count, count, scratch, order):
+    """The order by (layer, body, middle, row), stable, of those candidates in ranges (n, 2) that come into these layers, as
+    many as `order` has room for. `count` needs room for layers x bodies, for nodes of an axis and for as many numbers as
+    `order`.
 
     Counting sorts: all particles by layer and body, then each such group, which fits into a core's cache, by cell.
     """
@@ -165,16 +152,18 @@ def cell_order(homes, bodies, candidates, axes, first_layer, layers, body_count,
     layer = homes[axes[0]]
     for g in range(groups + 1):
         count[g] = 0
-    for n in range(candidates):
-        if first_layer <= layer[n] < first_layer + layers:
-            count[(layer[n] - first_layer) * body_count + bodies[n] + 1] += 1
+    for r in range(ranges.shape[0]):
+        for n in range(ranges[r, 0], ranges[r, 1]):
+            if first_layer <= layer[n] < first_layer + layers:
+                count[(layer[n] - first_layer) * body_count + bodies[n] + 1] += 1
     for g in range(groups):
         count[g + 1] += count[g]
-    for n in range(candidates):
-        if first_layer <= layer[n] < first_layer + layers:
-            g = (layer[n] - first_layer) * body_count + bodies[n]
-            scratch[count[g]] = n
-            count[g] += 1
+    for r in range(ranges.shape[0]):
+        for n in range(ranges[r, 0], ranges[r, 1]):
+            if first_layer <= layer[n] < first_layer + layers:
+                g = (layer[n] - first_layer) * body_count + bodies[n]
+                scratch[count[g]] = n
+                count[g] += 1
     first, end = 0, order.shape[0]
     while first < end:
         lead = scratch[first]

@@ -7,34 +7,66 @@ of quads of one row, (row of the array, first quad, last quad + 1).
 from pmpm.kernels.places import PADDING
 
 QUADS = 32  # of a word
+CLOSE = 4  # cells: the box around a block is little more than what its particles reach
 FULL = (1 << QUADS) - 1
 
 
-def mark_cells(places, segments, layer_start, middle, row, half, fraction, slack, marks):
-    """Mark what the particles of each layer reach, now or `slack` (a place) farther along any axis: the first rows of their
-    stencils, and along these the quads of their rows of four nodes. middle, row: physical axes, middle < 0 in 2-D."""
-    last_quad = QUADS * marks.shape[2] - 1
-    for layer in range(layer_start.shape[0] - 1):
+def mark_cells(places, segments, layer_start, first_layer, last_layer, middle, row, half, fraction, slack, marks):
+    """Mark what the particles of layers first .. last - 1 reach, now or `slack` (a place) farther along any axis: the first
+    rows of their stencils, and along these the quads of their rows of four nodes. middle, row: physical axes, middle < 0 in
+    2-D.
+
+    A block whose particles lie close together is marked as the box around them.
+    """
+    for layer in range(first_layer, last_layer):
         for s in range(layer_start[layer], layer_start[layer + 1]):
             block, left = segments[s, 0], segments[s, 1]
-            low_j = high_j = held_low_j = held_high_j = 0
-            held_low = held_high = -1 << 40
+            i, j = segments[s, 4] + PADDING, segments[s, 3] + PADDING
             while left > 0:
-                for lane in range(min(left, 16)):
-                    place = int(places[block, row, lane]) + half
-                    low = segments[s, 4] + PADDING + ((place - slack) >> fraction)
-                    high = segments[s, 4] + PADDING + ((place + slack) >> fraction)
+                low, high = lowest(places[block, row]), highest(places[block, row])
+                low_j = high_j = 0
+                if middle >= 0:
+                    low_j, high_j = lowest(places[block, middle]), highest(places[block, middle])
+                if left >= 16 and high - low < CLOSE << fraction and high_j - low_j < CLOSE << fraction:
+                    low, high = i + ((low + half - slack) >> fraction), i + ((high + half + slack) >> fraction)
                     if middle >= 0:
-                        place = int(places[block, middle, lane]) + half
-                        low_j = segments[s, 3] + PADDING + ((place - slack) >> fraction)
-                        high_j = segments[s, 3] + PADDING + ((place + slack) >> fraction)
-                    if low != held_low or high != held_high or low_j != held_low_j or high_j != held_high_j:
-                        held_low, held_high, held_low_j, held_high_j = low, high, low_j, high_j
-                        for j in range(max(low_j, 0), min(high_j + 1, marks.shape[1])):
-                            for q in range(max(low, 0) >> 2, min((high + 3) >> 2, last_quad) + 1):
-                                marks[layer, j, q >> 5] |= 1 << (q & 31)
+                        low_j = j + ((low_j + half - slack) >> fraction)
+                        high_j = j + ((high_j + half + slack) >> fraction)
+                    mark_box(marks, layer, low_j, high_j, low, high)
+                else:
+                    for lane in range(min(left, 16)):
+                        place = int(places[block, row, lane]) + half
+                        low, high = i + ((place - slack) >> fraction), i + ((place + slack) >> fraction)
+                        if middle >= 0:
+                            place = int(places[block, middle, lane]) + half
+                            low_j, high_j = j + ((place - slack) >> fraction), j + ((place + slack) >> fraction)
+                        mark_box(marks, layer, low_j, high_j, low, high)
                 block += 1
                 left -= 16
+
+
+def lowest(numbers):
+    """Of the lanes of a block."""
+    found = numbers[0]
+    for lane in range(1, 16):
+        found = min(found, numbers[lane])
+    return int(found)
+
+
+def highest(numbers):
+    """Of the lanes of a block."""
+    found = numbers[0]
+    for lane in range(1, 16):
+        found = max(found, numbers[lane])
+    return int(found)
+
+
+def mark_box(marks, layer, low_j, high_j, low, high):
+    """Mark rows low_j .. high_j, and along them the quads of rows of four nodes that begin at nodes low .. high."""
+    first, last = max(low, 0) >> 2, min((high + 3) >> 2, QUADS * marks.shape[2] - 1)
+    for j in range(max(low_j, 0), min(high_j + 1, marks.shape[1])):
+        for q in range(first, last + 1):
+            marks[layer, j, q >> 5] |= 1 << (q & 31)
 
 
 def find_spans(marks, spans):

@@ -1,19 +1,20 @@
 """Populations being made: of those that stay and those that arrive, one group of layers after another.
 
-Only a group's particles are there twice: what has been moved is given back to the system behind the reader, and whatever is
-noted of each particle (home nodes, order) is noted of one group at a time.
+Only a batch of groups, one for each thread, has its particles there twice: what has been moved is given back to the system
+behind the reader, and whatever is noted of each particle (home nodes, order) is noted of one batch at a time.
 
-    old layers    ... | given back | near the group, homes known | not looked at yet ...
-    new layers    ... | done       | group                       | to come ...
+    old layers    ... | given back | near the batch, homes known | not looked at yet ...
+    new layers    ... | done       | batch                       | to come ...
 """
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 from pmpm.kernels.places import FORMATS, NEAR
 from pmpm.kernels.sorting import SEGMENT_COLUMNS
-from pmpm.state.memory import Source, moved, room
+from pmpm.state.memory import Scratch, Source, moved, room
 from pmpm.state.particles import LANES, Cloud, Population, layer_groups
 
 SPARE = 1 / 16  # of the blocks, room for more of them than there were: only what is written takes memory
@@ -41,7 +42,8 @@ class Growing:
 
     def take(self, segments, starts, first, blocks):
         """Note the segments (m, 5) of layers `first` (this rank's counting) and on, `starts` (layers + 1,) the first segment
-        of each; blocks are counted from the first of these. Returns (reals, id) of so many new blocks, to be written."""
+        of each; blocks are counted from the first of these. Returns the number of the first of so many new blocks, which are
+        to be written when all that are taken at a time have been."""
         segments[:, 0] += self.used
         self.layer_start[first : first + len(starts)] = self.count + starts
         self.segments.append(segments)
@@ -50,7 +52,7 @@ class Growing:
         if self.used > self.blocks:
             self.blocks = FEWEST + int((1.0 + SPARE) * max(self.used, self.blocks))
             self.reals, self.id = moved(self.reals, begin, self.blocks), moved(self.id, begin, self.blocks)
-        return self.reals[begin : self.used], self.id[begin : self.used]
+        return begin
 
     def whole(self):
         """The Population."""
@@ -67,8 +69,11 @@ class Candidates:
     source: np.ndarray
 
     @classmethod
-    def room(cls, dim, count):
-        return cls(np.empty((dim, count), np.int32), np.empty(count, np.int32), np.empty(count, np.int64))
+    def room(cls, dim, count, scratch):
+        return cls(
+            scratch.array("homes", (dim, count), np.int32), scratch.array("bodies", (count,), np.int32),
+            scratch.array("source", (count,), np.int64),
+        )  # fmt: skip
 
     def put(self, place, others, index=slice(None)):
         """Write some others, and return the number behind them."""
@@ -78,25 +83,58 @@ class Candidates:
         return end
 
 
-def sort_in(growing, geometry, kernels, body_count, candidates, known, first, last, count, blocks, ids, arrived):
-    """Add the layers first .. last - 1 to a growing population, of the first `known` candidates: `count` will come. They lie
-    in `blocks` with `ids`, or are rows of a Cloud `arrived`."""
-    form, axes = FORMATS[growing.rest.dtype], np.array(geometry.axes)
-    homes, bodies, source = candidates.homes, candidates.bodies, candidates.source
-    order, scratch = np.empty(count, np.int64), np.empty(count, np.int64)
-    buckets = max((last - first) * body_count, count, *(geometry.extent(axis) for axis in range(geometry.dim))) + 2
+@dataclass(frozen=True)
+class Group:
+    """Layers first .. last - 1 that are sorted together: `count` candidates come into them, all among `ranges` (n, 2)."""
+
+    first: int
+    last: int
+    count: int
+    ranges: np.ndarray
+
+
+def in_order(group, geometry, kernels, body_count, candidates, room):
+    """(order, segments, first segment of each layer, blocks) of a group; blocks are counted from its first. `room(name, shape)`
+    makes arrays of int64."""
+    layers, count, axes = group.last - group.first, group.count, np.array(geometry.axes)
+    order, segments = room("order", (count,)), room("segments", (count, SEGMENT_COLUMNS))
+    buckets = max(layers * body_count, count, *(geometry.extent(axis) for axis in range(geometry.dim))) + 2
     kernels.cell_order(
-        homes, bodies, known, axes, first, last - first, body_count, np.empty(buckets, np.int64), scratch, order
-    )
-    segments, starts = np.empty((count, SEGMENT_COLUMNS), np.int64), np.zeros(last - first + 1, np.int64)
-    used, new_blocks = kernels.cut_segments(homes, bodies, order, axes, first, segments, starts)
-    segments = segments[:used].copy()
-    counted_here = segments.copy()
-    reals, new_ids = growing.take(segments, starts, first - growing.first_layer, new_blocks)
-    kernels.permute(
-        blocks.view(form.integer), arrived.places, ids, arrived.id, source, order, homes, axes, form.fraction,
-        counted_here, used, reals.view(form.integer), new_ids, growing.rest.view(form.integer),
+        candidates.homes, candidates.bodies, group.ranges, axes, group.first, layers, body_count, room("count", (buckets,)),
+        room("by layer", (count,)), order,
     )  # fmt: skip
+    starts = np.zeros(layers + 1, np.int64)
+    used, blocks = kernels.cut_segments(candidates.homes, candidates.bodies, order, axes, group.first, segments, starts)
+    return order, segments[:used].copy(), starts, blocks
+
+
+def sort_in(growing, geometry, kernels, body_count, candidates, groups, blocks, ids, arrived, crew, scratch):
+    """Add consecutive groups of layers, no more than threads, to a growing population. Candidates lie in `blocks` with `ids`,
+    or are rows of a Cloud `arrived`."""
+    form, axes = FORMATS[growing.rest.dtype], np.array(geometry.axes)
+
+    def put_in_order(group, thread):
+        def room(name, shape):
+            return scratch.array((name, thread), shape, np.int64)
+
+        return in_order(group, geometry, kernels, body_count, candidates, room)
+
+    found = crew.share(put_in_order, groups)
+    moves = []
+    for group, (order, segments, starts, count) in zip(groups, found, strict=True):
+        counted_here = segments.copy()
+        begin = growing.take(segments, starts, group.first - growing.first_layer, count)
+        moves.append((order, counted_here, begin, begin + count))
+
+    def permute(move, _):
+        order, segments, begin, end = move
+        kernels.permute(
+            blocks.view(form.integer), arrived.places, ids, arrived.id, candidates.source, order, candidates.homes, axes,
+            form.fraction, segments, len(segments), growing.reals[begin:end].view(form.integer), growing.id[begin:end],
+            growing.rest.view(form.integer),
+        )  # fmt: skip
+
+    crew.share(permute, moves)
 
 
 @dataclass
@@ -152,56 +190,102 @@ class Arrivals:
         return np.bincount(slabs - first_layer, minlength=layers), *found
 
 
-def assemble(population, staying, arrivals, geometry, kernels, first_layer, layers, body_count, rest):
-    """The Population of those that stay, see `leaving`, and those that arrive, in layers of this rank; the old one is of no
-    use afterwards."""
-    form, axes, slab = FORMATS[rest.dtype], np.array(geometry.axes), geometry.axes[0]
-    half, periodic = form.whole(geometry.stencil.round), np.array(geometry.periodic)
-    nodes = np.array([geometry.homes(axis) for axis in range(geometry.dim)])
-    last_layer = first_layer + layers
-    arriving, *sides = arrivals.by_layer(slab, first_layer, layers)
-    counts = staying + arriving
-    growing = Growing(first_layer, layers, rest, len(population.reals) + -(-int(arriving.sum()) // LANES))
-    old_first, old_last = population.first_layer, population.first_layer + len(population.layer_start) - 1
-    below = np.concatenate([[0], np.cumsum(population.segments[:, 1])])[population.layer_start]
-    first_blocks = np.concatenate([population.segments[:, 0], [len(population.reals)]])[population.layer_start]
-    source = Source(population.reals, population.id)
-    looked_at = min(max(old_first, first_layer - NEAR), old_last)
-    waiting = Candidates.room(geometry.dim, 0)
-    for first, last in layer_groups(counts, first_layer):
-        ahead = max(looked_at, min(old_last, last + NEAR))
-        fresh = int(below[ahead - old_first] - below[looked_at - old_first])
-        before, after = (side_slice(side, slab, first, last) for side in sides)
-        parts = [(sides[0], before), (sides[1], after)]
-        room_for = sum(index.stop - index.start for _, index in parts) + len(waiting.source) + fresh
-        candidates = Candidates.room(geometry.dim, room_for)
-        begin = candidates.put(0, *parts[0])
-        known = kernels.loosen(
-            population.places, population.segments, population.layer_start, old_first, looked_at, ahead, first_layer,
-            last_layer, half, form.fraction, axes, nodes, periodic, candidates.put(begin, waiting), candidates.homes,
-            candidates.bodies, candidates.source,
-        )  # fmt: skip
-        waiting_next = begin + np.flatnonzero(candidates.homes[slab, begin:known] >= last)
-        waiting = Candidates(
-            candidates.homes[:, waiting_next], candidates.bodies[waiting_next], candidates.source[waiting_next]
+class Assembly:
+    """A rank's layers being filled with those of a Population that stay, see `leaving`, and with Arrivals; the old population
+    is of no use afterwards. `rest`: see Growing."""
+
+    def __init__(self, population, staying, arrivals, geometry, kernels, first_layer, layers, body_count, rest):
+        self.population, self.arrivals, self.geometry, self.kernels = population, arrivals, geometry, kernels
+        self.body_count, self.slab = body_count, geometry.axes[0]
+        self.first_layer, self.last_layer = first_layer, first_layer + layers
+        arriving, *self.sides = arrivals.by_layer(self.slab, first_layer, layers)
+        self.counts = staying + arriving
+        self.growing = Growing(first_layer, layers, rest, len(population.reals) + -(-int(arriving.sum()) // LANES))
+        self.old_first = population.first_layer
+        self.old_last = self.old_first + len(population.layer_start) - 1
+        self.below = np.concatenate([[0], np.cumsum(population.segments[:, 1])])[population.layer_start]
+        starts = np.concatenate([population.segments[:, 0], [len(population.reals)]])
+        self.first_blocks = starts[population.layer_start]
+        self.source = Source(population.reals, population.id)
+        self.looked_at = min(max(self.old_first, first_layer - NEAR), self.old_last)
+        self.scratch = Scratch()
+        self.waiting = Candidates.room(geometry.dim, 0, self.scratch)
+
+    def whole(self, crew):
+        """The new Population, made by the threads of a crew."""
+        groups = list(layer_groups(self.counts, self.first_layer))
+        for number in range(0, len(groups), crew.threads):
+            self.add(groups[number : number + crew.threads], crew)
+        return self.growing.whole()
+
+    def add(self, batch, crew):
+        """Add consecutive groups of layers, (first, last + 1) each.
+
+        Candidates stand in the one global order: arrived from before, waiting since the last batch, of old layers that have
+        not been looked at yet, arrived from behind.
+        """
+        first, last = batch[0][0], batch[-1][1]
+        before, behind = (side_slice(side, self.slab, first, last) for side in self.sides)
+        self.ahead = max(self.looked_at, min(self.old_last, last + NEAR))
+        self.arrived = before.stop - before.start
+        self.fresh = self.arrived + len(self.waiting.source)
+        end = self.place(self.ahead)
+        candidates = self.candidates = Candidates.room(
+            self.geometry.dim, end + behind.stop - behind.start, self.scratch
         )
-        known = candidates.put(known, *parts[1])
+        candidates.put(candidates.put(0, self.sides[0], before), self.waiting)
+        candidates.put(end, self.sides[1], behind)
+        cuts = [self.looked_at, *(self.within(group_last + NEAR) for _, group_last in batch[:-1]), self.ahead]
+        crew.share(self.loosen, list(pairwise(cuts)))
+        shifts = -before.start, end - behind.start
+        groups = [self.group(group_first, group_last, shifts) for group_first, group_last in batch]
         sort_in(
-            growing, geometry, kernels, body_count, candidates, known, first, last,
-            int(counts[first - first_layer : last - first_layer].sum()), population.reals, population.id, arrivals.cloud,
+            self.growing, self.geometry, self.kernels, self.body_count, candidates, groups, self.population.reals,
+            self.population.id, self.arrivals.cloud, crew, self.scratch,
         )  # fmt: skip
-        looked_at = ahead
-        done = min(max(last - NEAR, old_first), ahead)
-        source.done(int(first_blocks[done - old_first]))
-    return growing.whole()
+        coming = self.arrived + np.flatnonzero(candidates.homes[self.slab, self.arrived : end] >= last)
+        self.waiting = Candidates(candidates.homes[:, coming], candidates.bodies[coming], candidates.source[coming])
+        self.looked_at = self.ahead
+        done = min(max(last - NEAR, self.old_first), self.ahead)
+        self.source.done(int(self.first_blocks[done - self.old_first]))
+
+    def within(self, layer):
+        """The nearest to a layer where this batch's fresh old layers begin or end."""
+        return min(max(layer, self.looked_at), self.ahead)
+
+    def place(self, layer):
+        """The number of an old layer's first candidate among the fresh ones."""
+        begin, end = self.below[self.looked_at - self.old_first], self.below[self.within(layer) - self.old_first]
+        return self.fresh + int(end - begin)
+
+    def loosen(self, old_layers, _):
+        """Make candidates of fresh old layers."""
+        geometry, p = self.geometry, self.population
+        form = FORMATS[p.reals.dtype]
+        self.kernels.loosen(
+            p.places, p.segments, p.layer_start, p.first_layer, *old_layers, self.first_layer, self.last_layer,
+            form.whole(geometry.stencil.round), form.fraction, np.array(geometry.axes),
+            np.array([geometry.homes(axis) for axis in range(geometry.dim)]), np.array(geometry.periodic),
+            self.place(old_layers[0]), self.candidates.homes, self.candidates.bodies, self.candidates.source,
+        )  # fmt: skip
+
+    def group(self, first, last, shifts):
+        """The Group of some layers; `shifts`: from the numbers of those that arrived to their candidates."""
+        low, high = (side_slice(side, self.slab, first, last) for side in self.sides)
+        near = self.place(first - NEAR) if first - NEAR >= self.looked_at else self.arrived
+        ranges = np.array([
+            [low.start + shifts[0], low.stop + shifts[0]], [near, self.place(last + NEAR)],
+            [high.start + shifts[1], high.stop + shifts[1]],
+        ])  # fmt: skip
+        return Group(first, last, int(self.counts[first - self.first_layer : last - self.first_layer].sum()), ranges)
 
 
-def settle(batches, others, counts, geometry, kernels, first_layer, layers, body_count, rests):
+def settle(batches, others, counts, geometry, kernels, first_layer, layers, body_count, rests, crew):
     """Populations of each law of particles that lie in no order yet: `batches`, ((first, last + 1) layers, Clouds) of one
     group of layers after another, and `others`, Clouds of all layers or None. About `counts` of each law; `rests`: see
     Growing."""
     growing = [Growing(first_layer, layers, r, int(n) // LANES) for r, n in zip(rests, counts, strict=True)]
-    slab = geometry.axes[0]
+    slab, scratch = geometry.axes[0], Scratch()
     for (first, last), clouds in batches:
         for law, (made, cloud) in enumerate(zip(growing, clouds, strict=True)):
             if others is not None:
@@ -210,9 +294,8 @@ def settle(batches, others, counts, geometry, kernels, first_layer, layers, body
             count = len(cloud)
             candidates = Candidates(np.ascontiguousarray(cloud.node.T), cloud.row, -1 - np.arange(count))
             none = Population.empty(len(made.rest), 0, 0, made.rest.dtype)
-            sort_in(
-                made, geometry, kernels, body_count, candidates, count, first, last, count, none.reals, none.id, cloud
-            )
+            group = Group(first, last, count, np.array([[0, count]]))
+            sort_in(made, geometry, kernels, body_count, candidates, [group], none.reals, none.id, cloud, crew, scratch)
     return [made.whole() for made in growing]
 
 

@@ -102,19 +102,23 @@ class Patch:
         self.apart += pairs
         return np.array(pairs, np.int64).reshape(-1, 2)
 
-    def lay_out(self, populations, kernels, mirrors):
+    def lay_out(self, populations, kernels, mirrors, crew, parts):
         """Take the nodes that the particles reach, now and until any has travelled SLACK cells along an axis.
 
         mirrors: (array axis, number of the plane, row or node on it) of the walls. What one of a pair of images reaches the
-        other has, too: whatever is added to either can be told to both.
+        other has, too: whatever is added to either can be told to both. The threads of a crew share the layers, in `parts`.
         """
         form, geometry = FORMATS[np.dtype(self.real)], self.geometry
         marks = np.zeros((self.layers, self.rows, self.words), np.uint32)
-        for p in populations:
-            kernels.mark_cells(
-                p.places, p.segments, p.layer_start, geometry.axes[1], geometry.axes[2], form.whole(geometry.stencil.round),
-                form.fraction, form.whole(SLACK + ROUNDING), marks,
-            )  # fmt: skip
+
+        def mark(layers, _):
+            for p in populations:
+                kernels.mark_cells(
+                    p.places, p.segments, p.layer_start, *layers, geometry.axes[1], geometry.axes[2],
+                    form.whole(geometry.stencil.round), form.fraction, form.whole(SLACK + ROUNDING), marks,
+                )  # fmt: skip
+
+        crew.share(mark, parts)
         if geometry.axes[1] >= 0:
             marks = widened(marks, geometry.stencil.nodes - 1)
         planes = np.zeros((self.planes, self.rows, self.words), np.uint32)
