@@ -27,6 +27,7 @@ from pathlib import Path
 from unittest import mock
 
 import machine
+import pages
 from peers.pmpm_mpm import PmpmSteps
 from stages import Progress
 from workloads import LAWS, Workload
@@ -341,10 +342,7 @@ def main():
         guards[name] = guard_costs(name, QUICK_BLOCK if given.quick else MILLION, rounds)
         print("    check {:+.3f}, energies {:.4f} of a step of {:.1f} ns".format(*guards[name]), flush=True)
     if given.docs:
-        (given.docs / "results").mkdir(parents=True, exist_ok=True)
-        (given.docs / "results" / "ablation.md").write_text(
-            page(unused, cut, rows, guards, rounds, cells), encoding="utf-8"
-        )
+        pages.write(given.docs, "ablation", page(unused, cut, rows, guards, rounds, cells))
     missed = [f"{name}: {differ} instructions differ" for name, (_, differ) in unused.items() if differ]
     if not given.quick:
         missed += [

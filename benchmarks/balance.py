@@ -23,6 +23,7 @@ from pathlib import Path
 
 import machine
 import numpy as np
+import pages
 from conservation import bits, mpirun
 from stages import Progress
 
@@ -398,7 +399,7 @@ def main():
     print(long_table(runs.found), short_table(runs.found), bits_table(runs.found), sep="\n\n")
     print("\n".join(f"FAILED: {line}" for line in missed) or "all gates hold")
     if given.docs:
-        (given.docs / "results" / "balance.md").write_text(page(runs.tanks, runs.found, missed), encoding="utf-8")
+        pages.write(given.docs, "balance", page(runs.tanks, runs.found, missed))
         plot(runs.found, given.docs / "pictures" / "balance.png")
     return 1 if missed else 0
 

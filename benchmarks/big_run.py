@@ -21,6 +21,8 @@ import time
 from functools import partial
 from pathlib import Path
 
+import pages
+
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
@@ -219,7 +221,7 @@ def main():
             restart=f"{restart} the same totals, bit for bit, as the one that went on.",
         )  # fmt: skip
         if given.docs:
-            (given.docs / "results" / "big_run.md").write_text(page, encoding="utf-8")
+            pages.write(given.docs, "big_run", page)
         print(page)
     sys.exit(not phases.passed)
 

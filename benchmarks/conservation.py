@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pages
 
 import pmpm
 from pmpm.failure import NumericalFailure
@@ -338,7 +339,7 @@ def main():
     )
     print(verdict)
     if given.docs:
-        (given.docs / "results" / "conservation.md").write_text(page(results, two, steps, verdict), encoding="utf-8")
+        pages.write(given.docs, "conservation", page(results, two, steps, verdict))
     return 1 if missed else 0
 
 

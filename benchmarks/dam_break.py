@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pages
 
 import pmpm
 
@@ -124,7 +125,7 @@ def main():
         )
         verdict = "\n\n" + ("All gates hold." if not found else "Gates that fail: " + "; ".join(found)) + "\n\n"
         picture = "![front against time](../pictures/dam_break_front.png)\n"
-        (given.docs / "results" / "dam_break.md").write_text(intro + text + verdict + picture, encoding="utf-8")
+        pages.write(given.docs, "dam_break", intro + text + verdict + picture)
     return 1 if found else 0
 
 

@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 import machine
+import pages
 import stages
 
 import pmpm
@@ -177,7 +178,7 @@ def write(docs, lines, rounds):
 
 {chr(10).join(lines)}
 """
-    (docs / "results" / "empty_space.md").write_text(text, encoding="utf-8")
+    pages.write(docs, "empty_space", text)
 
 
 if __name__ == "__main__":

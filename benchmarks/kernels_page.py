@@ -3,6 +3,7 @@
 import statistics
 from dataclasses import dataclass
 
+import pages
 from workloads import LAWS
 
 # Useful operations per particle-step, counted once from the machine code of a forerunner of these kernels.
@@ -218,7 +219,7 @@ def write(docs, tables_text, measured, goals, machine, minutes, failed):
     verdict = "All musts hold." if not failed else "Musts that fail:\n\n" + "\n".join(f"- {text}" for text in failed)
     picture = "![ns per particle-step](../pictures/kernels.png)\n"
     page = "\n\n".join([intro + verdict, picture + "\n" + tables_text, NOTES])
-    (docs / "results" / "kernels.md").write_text(page, encoding="utf-8")
+    pages.write(docs, "kernels", page)
 
 
 def plot(measured, goals, path):

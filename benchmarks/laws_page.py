@@ -2,6 +2,7 @@
 
 import statistics
 
+import pages
 from kernels_page import markdown, number
 
 PAGE = """# What each law costs
@@ -77,7 +78,7 @@ def write(docs, found, most, reasons, minutes, complaints, machine):
         verdict = "Musts that fail:\n\n" + "\n".join(f"- {text}" for text in complaints)
     picture = "![ns per particle-step by law](../pictures/laws.png)"
     page = "\n\n".join([intro + verdict, picture, tables(found, most, reasons)])
-    (docs / "results" / "laws.md").write_text(page + "\n", encoding="utf-8")
+    pages.write(docs, "laws", page + "\n")
 
 
 def plot(found, most, path):

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pages
 
 import pmpm
 from pmpm.failure import NumericalFailure
@@ -315,7 +316,7 @@ def main():
     text = page(found, ratios, verdict)
     print(text)
     if given.docs:
-        (given.docs / "results" / "locking.md").write_text(text, encoding="utf-8")
+        pages.write(given.docs, "locking", text)
     return 1 if wrong else 0
 
 

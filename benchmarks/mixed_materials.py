@@ -21,6 +21,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pages
 
 import pmpm
 
@@ -228,7 +229,7 @@ def main():
         matplotlib.use("Agg")
         plot_energies(run, given.docs / "pictures" / "mixed_materials_energies.png")
         plot_particles(run, given.docs / "pictures" / "mixed_materials.png")
-        (given.docs / "results" / "mixed_materials.md").write_text(page(run, found, given), encoding="utf-8")
+        pages.write(given.docs, "mixed_materials", page(run, found, given))
     return 1 if found else 0
 
 

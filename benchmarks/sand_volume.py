@@ -27,6 +27,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pages
 
 import pmpm
 
@@ -361,7 +362,7 @@ built.
 
 {verdict}
 """
-    (docs / "results" / "sand_volume.md").write_text(text, encoding="utf-8")
+    pages.write(docs, "sand_volume", text)
 
 
 def main():

@@ -19,6 +19,7 @@ import tempfile
 from pathlib import Path
 
 import machine
+import pages
 import scaling_tables
 from scaling_runs import RunError, can_pin, cores, read, run
 from scaling_tables import Row
@@ -234,7 +235,7 @@ def report(given, rows):
         text += f"{given.steps} steps, medians of {given.rounds} rounds in which the numbers of ranks take turns. "
         text += f"{remarks(given)}\n\n"
         text += f"{picture}\n\n" + "\n".join(lines) + f"\n\n{scaling_tables.NOTES}"
-        (given.docs / "results" / f"{name}.md").write_text(text, encoding="utf-8")
+        pages.write(given.docs, name, text)
 
 
 def command(given):

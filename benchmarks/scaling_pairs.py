@@ -10,12 +10,13 @@ import os
 import statistics
 
 import machine
+import pages
 from contest import Child, ContestantError
 from kernels import Timing
 from stages import Progress
 from workloads import LAWS, Workload
 
-THREADS_GATE = 0.9  # a regroup is not shared among threads, and joins cost a little
+THREADS_GATE = 0.9  # threads meet several times in a step, and one of them balances and migrates for all
 GATE = 0.95  # the ordered sum and the halo cost 2 to 3 % of a step, and packing as much again
 STEPS = 20  # of a turn
 CELLS, QUICK_CELLS = 128, 32
@@ -138,7 +139,5 @@ def compare(rounds, quick, docs):
     if docs:
         text = f"# Two ranks and two processes\n\n`python benchmarks/scaling.py pairs --rounds {rounds} --docs docs` "
         text += f"wrote this page.\n{machine.text()}.\n\n{__doc__.split(chr(10), 2)[2]}\n" + "\n".join(lines)
-        (docs / "results" / "pairs.md").write_text(
-            f"{text}\n\n{NOTES.format(gate=GATE, threads_gate=THREADS_GATE)}", encoding="utf-8"
-        )
+        pages.write(docs, "pairs", f"{text}\n\n{NOTES.format(gate=GATE, threads_gate=THREADS_GATE)}")
     return 0 if holds else 1

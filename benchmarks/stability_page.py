@@ -7,6 +7,7 @@ from datetime import date
 import machine
 import matplotlib
 import numpy as np
+import pages
 from stress.explained import NOT_RUN, ROWS
 from stress.matrix import DOUBLE, FAILED, SINGLE, STOPPED, SURVIVES
 
@@ -278,7 +279,7 @@ def write(docs, results, not_run, jobs, missed):
     (docs / "pictures").mkdir(parents=True, exist_ok=True)
     (docs / "results").mkdir(parents=True, exist_ok=True)
     draw(docs / "pictures" / "stability.png", results)
-    (docs / "results" / "stability.md").write_text(page(results, not_run, jobs, verdict), encoding="utf-8")
+    pages.write(docs, "stability", page(results, not_run, jobs, verdict))
 
 
 if __name__ == "__main__":

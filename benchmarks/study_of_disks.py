@@ -13,6 +13,8 @@ import shutil
 import sys
 from pathlib import Path
 
+import pages
+
 import pmpm
 from pmpm.studies import report
 
@@ -41,7 +43,7 @@ def write(study, docs):
     """Write page and picture."""
     title, rest = report.page(study, f"../pictures/{PICTURE}").split("\n", 1)
     text = f"{title}\n\n`python benchmarks/study_of_disks.py --docs docs` wrote this page; it is `{COMMAND}`.\n{rest}"
-    (docs / "results" / "study_of_disks.md").write_text(text, encoding="utf-8")
+    pages.write(docs, "study_of_disks", text)
     shutil.copyfile(study.path / "study.png", docs / "pictures" / PICTURE)
 
 

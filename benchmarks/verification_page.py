@@ -1,5 +1,6 @@
 """What benchmarks/verification.py prints and writes: lines, the page and its pictures."""
 
+import pages
 from cases import Check, Table, short
 from kernels_page import markdown
 
@@ -87,7 +88,7 @@ def write(docs, cases, kept, size):
             found = kept[case.name]
             plots = [row for row in found["results"] if not isinstance(row, Check | Table)]
             parts.append(section(case, found, [draw(docs, case, number, plot) for number, plot in enumerate(plots, 1)]))
-    (docs / "results" / "verification.md").write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    pages.write(docs, "verification", "\n\n".join(parts) + "\n")
 
 
 def draw(docs, case, number, plot):

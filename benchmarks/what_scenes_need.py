@@ -9,6 +9,8 @@ the page with what the code says, and what it says with what a simulation alloca
 import argparse
 from pathlib import Path
 
+import pages
+
 from pmpm.explain import byte_rows, bytes_per_particle, compiled_kernels, labels, left_out
 from pmpm.scene.files import builtin_scenes
 from pmpm.scene.needs import scene_needs
@@ -118,7 +120,7 @@ def main():
     options.add_argument("--docs", type=Path, help="write the page here")
     given = options.parse_args()
     if given.docs:
-        (given.docs / "results" / "what_scenes_need.md").write_text(page(), encoding="utf-8")
+        pages.write(given.docs, "what_scenes_need", page())
     else:
         print(page(), end="")
 

@@ -5,6 +5,7 @@ import statistics
 from dataclasses import replace
 from datetime import date
 
+import pages
 import work_precision_figures
 from kernels_page import markdown, number
 from precision_arithmetic import order, pareto, ranks
@@ -303,7 +304,7 @@ def write(docs, found, reasons, compared, failed):
         agreement=agreement, verdict=verdict, **found.setting,
     )  # fmt: skip
     text += tables(found, reasons) + "\n\n" + NOTES
-    (docs / "results" / "work_precision.md").write_text(text, encoding="utf-8")
+    pages.write(docs, "work_precision", text)
 
 
 def write_points(path, found):

@@ -146,7 +146,8 @@ def cell_order(homes, bodies, ranges, axes, first_layer, layers, body_count, cou
     many as `order` has room for. `count` needs room for layers x bodies, for nodes of an axis and for as many numbers as
     `order`.
 
-    Counting sorts: all particles by layer and body, then each such group, which fits into a core's cache, by cell.
+    Counting sorts: all particles by layer and body, then each such group, which fits into a core's cache, by cell. Returns how
+    many come; if there is no room for just as many there is no order.
     """
     groups = layers * body_count
     layer = homes[axes[0]]
@@ -158,6 +159,8 @@ def cell_order(homes, bodies, ranges, axes, first_layer, layers, body_count, cou
                 count[(layer[n] - first_layer) * body_count + bodies[n] + 1] += 1
     for g in range(groups):
         count[g + 1] += count[g]
+    if count[groups] != order.shape[0]:
+        return count[groups]
     for r in range(ranges.shape[0]):
         for n in range(ranges[r, 0], ranges[r, 1]):
             if first_layer <= layer[n] < first_layer + layers:
@@ -188,6 +191,7 @@ def cell_order(homes, bodies, ranges, axes, first_layer, layers, body_count, cou
                     group[k] = ordered[k]
                 by_axis(middle, low_middle, middles, group, ordered, count)
         first = last
+    return end
 
 
 def extent(home, group):

@@ -99,10 +99,12 @@ def in_order(group, geometry, kernels, body_count, candidates, room):
     layers, count, axes = group.last - group.first, group.count, np.array(geometry.axes)
     order, segments = room("order", (count,)), room("segments", (count, SEGMENT_COLUMNS))
     buckets = max(layers * body_count, count, *(geometry.extent(axis) for axis in range(geometry.dim))) + 2
-    kernels.cell_order(
+    come = kernels.cell_order(
         candidates.homes, candidates.bodies, group.ranges, axes, group.first, layers, body_count, room("count", (buckets,)),
         room("by layer", (count,)), order,
     )  # fmt: skip
+    if come != count:
+        raise RuntimeError(f"{come} particles come into the layers {group.first} .. {group.last - 1}, not {count}")
     starts = np.zeros(layers + 1, np.int64)
     used, blocks = kernels.cut_segments(candidates.homes, candidates.bodies, order, axes, group.first, segments, starts)
     return order, segments[:used].copy(), starts, blocks
