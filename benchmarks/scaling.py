@@ -2,7 +2,7 @@
 
     python benchmarks/scaling.py strong SCENE --ranks 1,2 [--steps 200] [--rounds 3] [--threads N] [--set KEY=VALUE]
     python benchmarks/scaling.py weak SCENE --ranks 1,2 [--length 1]   the scene grows along the slab axis with the ranks
-    python benchmarks/scaling.py pairs [--rounds 6]                    scaling_pairs.py; status 1 where its gate is missed
+    python benchmarks/scaling.py pairs [--rounds 8]                    scaling_pairs.py; status 1 where its gate is missed
     python benchmarks/scaling.py table RUN [RUN ...]                   of runs that are there already
 
 SCENE is a built-in name or a TOML file. Runs are `pmpm run` under LAUNCH, the mpirun beside this Python, srun in a Slurm
@@ -89,7 +89,7 @@ def parser():
             )
         add_common(one, rounds=3)
     pairs = commands.add_parser("pairs", help="two ranks against two separate processes", allow_abbrev=False)
-    add_common(pairs, rounds=6)
+    add_common(pairs, rounds=8)
     tables = commands.add_parser("table", help="of runs that are there", allow_abbrev=False)
     tables.add_argument("runs", nargs="+", metavar="RUN", type=Path)
     return top

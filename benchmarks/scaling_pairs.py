@@ -18,7 +18,7 @@ from workloads import LAWS, Workload
 
 THREADS_GATE = 0.9  # threads meet several times in a step, and one of them balances and migrates for all
 GATE = 0.95  # the ordered sum and the halo cost 2 to 3 % of a step, and packing as much again
-STEPS = 20  # of a turn
+STEPS = 40  # of a turn
 CELLS, QUICK_CELLS = 128, 32
 NAMES = ("one, the other core idle", "two processes", "two ranks", "two threads")
 COLUMNS = (
