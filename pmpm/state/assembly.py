@@ -54,6 +54,11 @@ class Growing:
             self.reals, self.id = moved(self.reals, begin, self.blocks), moved(self.id, begin, self.blocks)
         return begin
 
+    @property
+    def written(self):
+        """(array, blocks of it that are in use) of both arrays."""
+        return [(self.reals, self.used), (self.id, self.used)]
+
     def whole(self):
         """The Population."""
         segments = np.concatenate([np.zeros((0, SEGMENT_COLUMNS), np.int64), *self.segments])
@@ -218,6 +223,7 @@ class Assembly:
         groups = list(layer_groups(self.counts, self.first_layer))
         for number in range(0, len(groups), crew.threads):
             self.add(groups[number : number + crew.threads], crew)
+        self.source.end(self.growing.written)
         return self.growing.whole()
 
     def add(self, batch, crew):
@@ -249,7 +255,7 @@ class Assembly:
         self.waiting = Candidates(candidates.homes[:, coming], candidates.bodies[coming], candidates.source[coming])
         self.looked_at = self.ahead
         done = min(max(last - NEAR, self.old_first), self.ahead)
-        self.source.done(int(self.first_blocks[done - self.old_first]))
+        self.source.done(int(self.first_blocks[done - self.old_first]), self.growing.written)
 
     def within(self, layer):
         """The nearest to a layer where this batch's fresh old layers begin or end."""

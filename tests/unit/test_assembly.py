@@ -1,6 +1,7 @@
 """Particles are moved in groups of layers: in little memory, in the same order, into room that grows."""
 
 import gc
+import platform
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,36 @@ def test_rows_that_move_into_wider_room_arrive_whole():
     rows[:] = np.arange(5e6).reshape(-1, 5)
     wider = memory.moved(rows, 999_999, 1_100_000)
     assert np.array_equal(wider[:999_999], np.arange(5e6 - 5).reshape(-1, 5))
+
+
+@pytest.fixture
+def two_rooms():
+    """Twelve MB of numbers and as many zeros, by large pages within: (numbers, zeros, first and last address, another one)."""
+    numbers, zeros = memory.room(3, (1 << 19,), np.float64), memory.room(3, (1 << 19,), np.float64)
+    numbers[:], zeros[:] = np.arange(3 << 19).reshape(3, -1), 0.0
+    first = memory.upwards(numbers.ctypes.data)
+    return numbers, zeros, first, first + 2 * memory.PAGE, memory.upwards(zeros.ctypes.data)
+
+
+@pytest.mark.skipif(platform.system() != "Linux", reason="only Linux hands pages on")
+def test_pages_are_handed_on_with_what_they_hold(two_rooms):
+    numbers, zeros, first, last, there = two_rooms
+    begin, count = (first - numbers.ctypes.data) // 8, (last - first) // 8
+    assert memory.hand_on(first, last, there) == last
+    found = zeros.reshape(-1)[(there - zeros.ctypes.data) // 8 :][:count]
+    assert np.array_equal(found, np.arange(begin, begin + count))
+    assert not numbers.reshape(-1)[begin : begin + count].any()
+    assert numbers.reshape(-1)[begin - 1] == begin - 1
+    assert numbers.reshape(-1)[begin + count] == begin + count
+
+
+def test_where_pages_cannot_be_handed_on_both_places_stay_usable(two_rooms, monkeypatch):
+    monkeypatch.setattr(memory, "HAND_ON", 1 << 20)
+    numbers, zeros, first, last, there = two_rooms
+    assert memory.hand_on(first, last, there) == first
+    assert np.array_equal(numbers.reshape(-1), np.arange(3 << 19))
+    zeros[:] = 1.0
+    assert zeros.sum() == 3 << 19
 
 
 def test_room_begins_a_cache_line():
