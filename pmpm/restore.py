@@ -321,8 +321,8 @@ class Continuation:
             for number, made in enumerate(growing):
                 ordered = self.ordered(simulation, number, layers, ids[number], velocities[number])
                 part = Population.of_ordered(ordered, layers[0], layers[1] - layers[0], made.rest, simulation.dim)
-                reals, id_ = made.take(part.segments, part.layer_start, layers[0] - first, len(part.reals))
-                reals[:], id_[:] = part.reals, part.id
+                begin = made.take(part.segments, part.layer_start, layers[0] - first, len(part.reals))
+                made.reals[begin : made.used], made.id[begin : made.used] = part.reals, part.id
         return [made.whole() for made in growing]
 
     def move_regions(self, simulation):

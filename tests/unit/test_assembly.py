@@ -65,7 +65,7 @@ def test_blocks_beyond_the_room_keep_those_before():
     for layer in range(50):
         segment = np.array([[0, 16 * 40, 0, 0, 0]])
         begin = growing.take(segment, np.array([0, 1]), layer, 40)
-        growing.reals[begin : begin + 40], growing.id[begin : begin + 40] = filled(40, 40 * layer), layer
+        growing.reals[begin : growing.used], growing.id[begin : growing.used] = filled(40, 40 * layer), layer
     whole = growing.whole()
     assert np.array_equal(whole.reals, filled(2000, 0))
     assert (whole.id[:, 0].tolist(), len(whole)) == ([n // 40 for n in range(2000)], 32000)
