@@ -48,10 +48,15 @@ def message_bytes(planes, plane, real_bytes):
     return head + planes * rows * -(-nodes // QUAD) * QUAD * NODE_REALS * real_bytes
 
 
+def between_ranks(slabs):
+    """The cuts that a message crosses: what goes round a periodic axis to the same rank is none."""
+    return [cut for cut in slabs.cuts if cut.earlier != cut.later]
+
+
 def halo_messages(slabs, exchanges=1):
     """(ranks,) messages that each rank of `slabs` sends per step; `exchanges` per step: see `halo_exchanges`."""
     sent = np.zeros(len(slabs.edges) - 1, np.int64)
-    for cut in slabs.cuts:
+    for cut in between_ranks(slabs):
         sent[cut.earlier] += exchanges
         sent[cut.later] += exchanges
     return sent
@@ -63,7 +68,7 @@ def halo_bytes(slabs, plane, real_bytes, exchanges=1):
     plane: (M, K), rows of a plane and nodes of a row; real_bytes: 4 or 8.
     """
     sent = np.zeros(len(slabs.edges) - 1, np.int64)
-    for cut in slabs.cuts:
+    for cut in between_ranks(slabs):
         sent[cut.earlier] += exchanges * message_bytes(cut.planes, plane, real_bytes)
         sent[cut.later] += exchanges * message_bytes(len(cut.unsummed), plane, real_bytes)
     return sent

@@ -213,8 +213,6 @@ def theory(folder, report):
         slabs = Slabs(geometry.layers, periodic, stencil.reach_low, stencil.reach_high, edges)
     except (SceneError, KeyError, ValueError):  # a scene with Python functions, a record of another version
         return None
-    if slabs.active == 1:
-        return 0, 0
     plane = tuple(1 if axis < 0 else geometry.extent(axis) for axis in others)
     exchanges = scaling_model.halo_exchanges(needs.scheme.blends, needs.f_bar)
     real_bytes = 4 if needs.precision == "float32" else 8

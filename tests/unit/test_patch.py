@@ -137,7 +137,7 @@ class Told:
 
 
 @pytest.mark.parametrize("periodic", [False, True])
-@pytest.mark.parametrize("ranks", [2, 3, 7, 64])
+@pytest.mark.parametrize("ranks", [1, 2, 3, 7, 64])
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 def test_bytes_and_messages_of_a_step_are_those_of_the_formula(ranks, periodic, real):
     """Planes that are full: 4 summed ones one way, 10 unsummed ones the other, with the table of their rows."""
