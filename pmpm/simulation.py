@@ -21,26 +21,23 @@ from pmpm import failure, guard, populate, readout, restart, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
-from pmpm.kernels.loops import FARTHEST, FORCES, SETTLED, WORKS
+from pmpm.kernels.loops import FARTHEST, SETTLED
 from pmpm.kernels.places import TRAVEL
 from pmpm.parallel import comm as communication
 from pmpm.parallel.balance import Balance, best_edges, edges_between, layer_work
-from pmpm.parallel.halo import Halo
-from pmpm.parallel.parts import Crew, parts_of, pieces
 from pmpm.parallel.regroup import migrate, partners
 from pmpm.parallel.slabs import Slabs, room
 from pmpm.particle_access import Particles
+from pmpm.processors.cpu import Cpu
 from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
 from pmpm.state.assembly import Arrivals, Assembly, leaving, settle
-from pmpm.state.derived import PARAMETERS, DerivedFields
+from pmpm.state.derived import DerivedFields
 from pmpm.state.fields import Layout
-from pmpm.state.grid import SLACK, Patch
+from pmpm.state.grid import SLACK
 from pmpm.state.particles import Cloud, Population, layer_groups
 from pmpm.timestep import FAILED, FORCE, GRADIENT, LAG, REQUEST, SPEED, WAVE, StepControl
 from pmpm.watching import STOP, Observer, Timers, next_count, spread
-
-WORTH_SHARING = 1 << 15  # nodes: to clear fewer takes no longer than to wake a thread
 
 
 class Simulation:
@@ -60,9 +57,7 @@ class Simulation:
         self.material_names = list(scene.materials)
         self.layouts = [Layout.of(law, self.dim, self.needs.carried(law)) for law in self.needs.laws]
         self.tables = [law_table(scene, law) for law in self.needs.laws]
-        self.kernel_tables = [table.astype(self.real) for table in self.tables]
         self.drive = Drive(scene, self.real)
-        self.crew = Crew(threads)
         self.blend = self.real(scene.method.flip_blend or 0.0)
         self.dx, self.inv_dx = self.real(scene.domain.cell_size), self.real(1.0 / scene.domain.cell_size)
         self.limits, self.ends = domain_limits(scene, self.geometry)
@@ -84,9 +79,7 @@ class Simulation:
             raise SceneError(
                 f"environment: PMPM_LOOPS = {loops!r} is not a kind of loops; known are {', '.join(build.LOOPS)}"
             )
-        self.kernels = build.build(
-            self.needs, self.layouts, [t.shape[1] - PARAMETERS for t in self.tables], loops, threads
-        )
+        self.processor = Cpu(self, threads)
 
         self.control = StepControl(
             self.comm, scene.time, scene.domain.cell_size, self.dim, FARTHEST / 64, SETTLED / 64, TRAVEL
@@ -131,20 +124,7 @@ class Simulation:
             self.geometry.layers, self.geometry.periodic[slab_axis], stencil.reach_low, stencil.reach_high, edges
         )
         self.first_layer, self.last_layer = self.slabs.owned(self.comm.rank)
-        self.works = np.zeros(self.last_layer - self.first_layer)
-        self.steps = np.zeros(self.crew.threads)  # the largest in cells that each thread has seen
-        self.patch = Patch(
-            self.geometry,
-            self.first_layer,
-            self.last_layer,
-            len(self.needs.laws),
-            self.real,
-            self.needs.scheme.blends,
-            self.needs.f_bar,
-            self.crew.threads,
-        )
-        self.halo = Halo(self.comm, self.slabs, self.patch, self.kernels, self.halo_sent)
-        self.kept_by_halo = len(self.patch.apart)
+        self.patch, self.halo = self.processor.new_patch()
         self.walls = patch_walls(self.scene, self.geometry, self.patch, self.real)
         self.drive.meet(self.geometry, self.patch, self.walls)
 
@@ -162,28 +142,30 @@ class Simulation:
                 last - first,
                 len(self.scene.bodies),
                 self.pad_values(layout),
-            ).whole(self.crew)
+            ).whole(self.processor.crew)
             arrived[law] = None
         self.held = self.rows()
 
     def share_layers(self):
         """Say which layers are summed first, and which thread does what; nodes are laid out anew before the next step."""
         work = layer_work(self.populations, self.balance.works, self.patch.layer_quads)
-        self.parts = parts_of(
-            work, self.needs.stencil.window, self.halo.low_shared, self.halo.high_shared, self.crew.threads
-        )
-        del self.patch.apart[self.kept_by_halo :]
-        self.apart = self.patch.keep_apart(list(self.parts.apart))
+        self.parts = self.processor.share_layers(work)
         self.patch.stale = True
 
     def lay_out(self):
         """Take the nodes that the particles reach now."""
         mirrors = [(wall.place, wall.on) for wall in self.walls]
-        self.patch.lay_out(self.populations, self.kernels, mirrors, self.crew, [*self.parts.edges, *self.parts.inner])
+        self.patch.lay_out(self.processor.mark, self.kernels, mirrors)
         for wall in self.walls:
             wall.lay_out(self.patch)
         self.drive.lay_out()
         self.halo.lay_out()
+        self.processor.take_nodes()
+
+    @property
+    def kernels(self):
+        """Compiled for this scene."""
+        return self.processor.kernels
 
     def no_particles(self):
         """Empty populations of this rank's layers."""
@@ -212,20 +194,7 @@ class Simulation:
 
     def warm_up(self):
         self.lay_out()
-        if self.needs.scheme.blends:
-            self.p2g((0, 0), 0, 0.0, self.kernels.p2g_before)
-        if self.needs.f_bar:
-            self.p2g((0, 0), 0, 0.0, self.kernels.p2g_divergence)
-            self.measure_divergence((0, 0), 0)
-        self.p2g((0, 0), 0, 0.0, self.kernels.p2g)
-        self.update_planes((0, 0), 0.0)
-        self.g2p((0, 0), 0, self.real(0))
-        if self.slabs.cuts or len(self.apart):
-            self.halo.warm_up()
-        nothing, normal, none = np.zeros((0, 5), np.int64), np.zeros(self.dim, self.real), self.real(0)
-        for wall, image in zip(self.kernels.walls.values(), self.kernels.images.values(), strict=True):
-            wall(self.patch.nodes, nothing, 0, 0, normal, none, normal)
-            image(self.patch.nodes, nothing, 0, 0, normal, normal)
+        self.processor.warm_up()
 
     def fastest(self):
         """Maxima over this rank's particles in the order of what is reduced: |v|^2, c^2, |C|^2 where particles have it, and
@@ -328,37 +297,35 @@ class Simulation:
         self.call_observers()
 
     def advance(self, dt):
-        now = clock.perf_counter()
+        now, processor = clock.perf_counter(), self.processor
         if self.patch.stale or self.patch.travelled > SLACK:
             self.lay_out()
             now = self.timers.add("layout", now)
         extremes = np.zeros(REQUEST + 1)
         extremes[FAILED] = -math.inf
-        self.kernels.scratch[:, FORCES:WORKS] = 0.0
-        self.works[:] = 0.0
+        processor.begin()
         self.failed.clear()
-        self.steps[:] = 0.0
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
         self.drive.start(self.time)
         if self.needs.scheme.blends:
             self.keep_velocities(dt)
             now = self.timers.add("p2g before", now)
-        runs = self.scatter(dt, self.kernels.p2g)
-        extremes[FORCE] = self.kernels.scratch[:, FORCES:WORKS].max()
+        runs = self.scatter(dt, "p2g")
+        extremes[FORCE] = processor.forces
         if self.energy_watch is not None and self.needs.driven:
-            self.energy_watch.note_work(self.works)
+            self.energy_watch.note_work(processor.works)
         self.control.disorder.start(self.step_count + 1, runs, self.held)
         now = clock.perf_counter()
         if self.needs.f_bar:  # averages come first: there is nothing to do meanwhile
             self.finish_halo()
-            self.update(0, planes, dt)
+            processor.update(0, planes, dt)
             self.average_divergence(dt)
             self.gather([*self.parts.edges, *self.parts.inner], dt, extremes)
             self.end_step(dt, extremes, now)
             return
         low, high = self.parts.low, self.parts.high(layers)
         if self.parts.inner:
-            self.update(low, planes - high, dt)
+            processor.update(low, planes - high, dt)
             self.gather(self.parts.inner, dt, extremes)
             now = self.timers.add("g2p", now)
         if self.slabs.cuts:
@@ -366,7 +333,7 @@ class Simulation:
         if self.parts.edges:
             waiting = [(0, low), (planes - high, planes)] if self.parts.inner else [(0, planes)]
             for first, last in waiting:
-                self.update(first, last, dt)
+                processor.update(first, last, dt)
             self.gather(self.parts.edges, dt, extremes)
         self.end_step(dt, extremes, now)
 
@@ -376,7 +343,52 @@ class Simulation:
         self.halo.wait()
         began = self.timers.add("halo wait", began)
         self.halo.finish()
+        self.processor.take_shared()
         return self.timers.add("halo", began)
+
+    def scatter(self, dt, phase):
+        """Sum what particles give to the nodes, by the kernels of a phase, and send what others need of it on its way.
+
+        Returns the number of runs of particles with the same stencil.
+        """
+        began, processor = clock.perf_counter(), self.processor
+        processor.clear()
+        runs = processor.p2g(self.parts.edges, dt, phase)
+        began = self.timers.add("p2g", began)
+        processor.give_shared()
+        self.halo.start()
+        began = self.timers.add("halo", began)
+        runs += processor.p2g(self.parts.inner, dt, phase)
+        processor.add_apart()
+        self.timers.add("p2g", began)
+        return runs
+
+    def gather(self, parts, dt, extremes):
+        """Nodes to particles of some layers; maxima go into `extremes`."""
+        found, failed = self.processor.g2p(parts, dt)
+        np.maximum(extremes[:FORCE], found, out=extremes[:FORCE])
+        self.failed += failed
+
+    def keep_velocities(self, dt):
+        """Fill the grid without impulses and keep its velocities: what a blend takes from those after the step.
+
+        Nothing has acted on them: what walls do is part of the change, so that it reaches the particles whole.
+        """
+        self.scatter(dt, "p2g_before")
+        self.finish_halo()
+        self.processor.average("before")
+
+    def average_divergence(self, dt):
+        """Average the divergence of the velocities on the nodes, which stay there, for F-bar.
+
+        Nodes near walls need no images: what they hold is divided by the volume that they hold it of.
+        """
+        self.processor.measure_divergence([*self.parts.edges, *self.parts.inner])
+        self.processor.keep_nodes()
+        self.scatter(dt, "p2g_divergence")
+        self.finish_halo()
+        self.processor.average("divergences")
+        self.processor.restore_nodes()
 
     def end_step(self, dt, extremes, began):
         """Let the next steps know what this one has found."""
@@ -386,7 +398,7 @@ class Simulation:
             extremes[FAILED] = -self.failure["step"]
         extremes[REQUEST], self.request = self.request, 0
         extremes[GRADIENT] /= float(dt) ** 2
-        self.patch.travelled += self.steps.max() + self.needs.places.unit  # to which places are rounded
+        self.patch.travelled += self.processor.travelled + self.needs.places.unit  # to which places are rounded
         self.drive.finish(dt)
         self.control.start(self.step_count + 1, float(dt), extremes)
         self.timers.add("g2p", began)
@@ -403,140 +415,7 @@ class Simulation:
 
     def energies(self, layers=None):
         """(layers, 3) J kinetic, strain and potential energy of this rank's particles in each of its layers."""
-        layers = self.last_layer - self.first_layer if layers is None else layers
-        found, gravity = np.zeros((layers, 3)), self.drive.gravity.astype(self.real)
-        for kernel, p, table in zip(self.kernels.sum_energies, self.populations, self.kernel_tables, strict=True):
-            kernel(
-                p.reals, p.places, p.segments, p.layer_start, layers, table, self.dx, self.first_layer, gravity, found,
-            )  # fmt: skip
-        return found
-
-    def keep_velocities(self, dt):
-        """Fill the grid without impulses and keep its velocities: what a blend takes from those after the step.
-
-        Nothing has acted on them: what walls do is part of the change, so that it reaches the particles whole.
-        """
-        self.scatter(dt, self.kernels.p2g_before)
-        self.finish_halo()
-        self.take_averages(self.patch.before)
-
-    def average_divergence(self, dt):
-        """Average the divergence of the velocities on the nodes, which stay there, for F-bar.
-
-        Nodes near walls need no images: what they hold is divided by the volume that they hold it of.
-        """
-        patch = self.patch
-        self.crew.share(self.measure_divergence, [*self.parts.edges, *self.parts.inner])
-        patch.velocities[:] = patch.nodes
-        self.scatter(dt, self.kernels.p2g_divergence)
-        self.finish_halo()
-        self.take_averages(patch.divergences)
-        patch.nodes[:] = patch.velocities
-
-    def take_averages(self, averages):
-        """Divide the sums on the nodes by their mass, or volume, and keep what comes out in `averages`."""
-        patch = self.patch
-        for images in patch.images:
-            images.sum(patch.nodes, 0, patch.planes)
-        self.kernels.divide_by_mass(patch.nodes, 0, patch.quads)
-        averages[:] = patch.nodes
-
-    def measure_divergence(self, layers, thread):
-        kernels, patch = self.kernels, self.patch
-        for kernel, p in zip(kernels.measure_divergence, self.populations, strict=True):
-            kernel(
-                p.reals, p.places, p.segments, p.layer_start, *layers, patch.nodes, patch.spans, patch.row_start,
-                patch.first_quads, patch.corner, patch.rings[thread], kernels.scratch[thread],
-                kernels.first_nodes[thread], kernels.constants, self.inv_dx,
-            )  # fmt: skip
-
-    def scatter(self, dt, p2g):
-        """Sum what particles give to the nodes, by the kernels `p2g` of each law, and send what others need of it on its way.
-
-        Returns the number of runs of particles with the same stencil.
-        """
-        began = clock.perf_counter()
-        nodes = self.patch.nodes
-        self.crew.share(
-            lambda part, _: nodes[slice(*part)].fill(0.0), pieces(0, len(nodes), self.crew.threads, WORTH_SHARING)
-        )
-        runs = self.sum_layers(self.parts.edges, dt, p2g)
-        began = self.timers.add("p2g", began)
-        self.halo.start()
-        began = self.timers.add("halo", began)
-        runs += self.sum_layers(self.parts.inner, dt, p2g)
-        if len(self.apart):
-            self.patch.add_apart(self.kernels, self.apart)
-        self.timers.add("p2g", began)
-        return runs
-
-    def sum_layers(self, parts, dt, p2g):
-        return sum(self.crew.share(lambda part, thread: self.p2g(part, thread, dt, p2g), parts))
-
-    def p2g(self, layers, thread, dt, p2g):
-        """Particles of a range of this rank's layers to nodes. Returns the number of runs."""
-        runs, patch, kernels = 0, self.patch, self.kernels
-        first, last = layers
-        for begin in range(first, max(last, first + 1), patch.chunk):
-            end = min(begin + patch.chunk, last)
-            for number, (kernel, p) in enumerate(zip(p2g, self.populations, strict=True)):
-                runs += kernel(
-                    p.reals, p.places, p.segments, p.layer_start, begin, end, self.kernel_tables[number],
-                    patch.windows[thread], patch.corner, number == len(p2g) - 1, patch.placed, patch.placed_start,
-                    patch.slots, patch.nodes, patch.unsummed, kernels.scratch[thread], kernels.first_nodes[thread],
-                    kernels.constants, self.real(dt), self.dx, self.inv_dx, self.first_layer, self.real(self.time),
-                    self.drive.factor, self.works,
-                )  # fmt: skip
-        return runs
-
-    def update(self, first, last, dt):
-        """`update_planes` by all threads: walls couple nodes of a few planes, which one thread does."""
-        for region in self.drive.regions:
-            region.nodes()  # once, before threads ask
-        ranges = pieces(first, last, self.crew.threads, self.needs.stencil.window)
-        self.crew.share(lambda planes, thread: self.update_planes(planes, dt), ranges)
-
-    def update_planes(self, planes, dt):
-        """Momentum to velocity on a range of planes of the patch, with gravity, damping, walls and regions."""
-        patch, drive, (first, last) = self.patch, self.drive, planes
-        nodes, quads = patch.nodes, (patch.plane_start[first], patch.plane_start[last])
-        for images in patch.images:
-            images.sum(nodes, first, last)
-        if drive.has_gravity:
-            self.kernels.add_gravity(nodes, *quads, drive.gravity_gain(dt))
-        if drive.damping > 0.0:
-            self.kernels.damp(nodes, *quads, drive.kept(dt))
-        here = [(wall, wall.between(first, last)) for wall in self.walls]
-        for wall, part in here:
-            self.kernels.walls[wall.type](nodes, wall.met, *part, wall.normal, wall.coefficient, wall.velocity)
-        self.kernels.divide_by_mass(nodes, *quads)
-        for wall, part in here:
-            self.kernels.images[wall.type](nodes, wall.met, *part, wall.normal, wall.velocity)
-        for region in drive.regions:
-            region.impose(nodes, first, last)
-
-    def gather(self, parts, dt, extremes):
-        """Nodes to particles of some layers; maxima go into `extremes`."""
-        for found in self.crew.share(lambda part, thread: self.g2p(part, thread, dt), parts):
-            np.maximum(extremes[:FORCE], found, out=extremes[:FORCE])
-
-    def g2p(self, layers, thread, dt):
-        """Nodes to particles of a range of this rank's layers. Returns the maxima of what is reduced."""
-        patch, kernels, extremes = self.patch, self.kernels, np.zeros(FORCE)
-        for number, (kernel, p) in enumerate(zip(kernels.g2p, self.populations, strict=True)):
-            failure = np.zeros(3, np.int64)
-            *found, step = kernel(
-                p.reals, p.places, p.segments, p.layer_start, *layers, self.kernel_tables[number], patch.nodes,
-                patch.before, self.blend, patch.divergences, patch.spans, patch.row_start, patch.first_quads,
-                patch.corner, patch.rings[thread], self.first_layer, self.limits, self.ends, kernels.scratch[thread],
-                kernels.first_nodes[thread], kernels.constants, dt, self.dx, self.inv_dx, failure,
-            )  # fmt: skip
-            np.maximum(extremes, found, out=extremes)
-            self.steps[thread] = max(self.steps[thread], step)
-            if failure[0]:
-                cause, block, lane = map(int, failure)
-                self.failed.append((number, block, lane, cause))
-        return extremes
+        return self.processor.energies(self.last_layer - self.first_layer if layers is None else layers)
 
     def regroup(self, edges=None, clouds=None):
         """Migration, sorting and new cuts (if `edges` are given) in one event: every particle joins the layer it lies in.
@@ -622,7 +501,7 @@ class Simulation:
         others = None if displaced is None else [arrivals.cloud for arrivals in self.deliver(displaced)[0]]
         self.populations = settle(
             batches, others, counts, self.geometry, self.kernels, self.first_layer, self.last_layer - self.first_layer,
-            len(self.scene.bodies), [self.pad_values(layout) for layout in self.layouts], self.crew,
+            len(self.scene.bodies), [self.pad_values(layout) for layout in self.layouts], self.processor.crew,
         )  # fmt: skip
         self.held = self.rows()
         self.share_layers()
@@ -789,7 +668,7 @@ class Simulation:
             "stretch": {"steps": self.stretch[0], "seconds": float(self.comm.max(np.array([self.stretch[1]]))[0])},
             "particles": int(self.comm.sum(np.array([self.rows()]))[0]),
             "ranks": self.comm.size,
-            "threads": self.crew.threads,
+            "threads": self.processor.threads,
             "edges": list(self.slabs.edges),
             "halo": [
                 dict(zip(("messages", "bytes"), map(int, sent), strict=True))

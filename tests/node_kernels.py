@@ -5,9 +5,6 @@ from types import SimpleNamespace
 
 from pmpm.kernels import loops, spans, targets
 from pmpm.kernels.build import LAYING_OUT, PER_CUT
-from pmpm.parallel.parts import Crew
-
-NOBODY = SimpleNamespace(places=None, segments=None, layer_start=None)
 
 
 @functools.cache
@@ -22,10 +19,4 @@ def kernels(real):
 
 def lay_out(patch, mark):
     """Let a patch take the nodes that `mark(marks)` marks in (layers, rows, words), see kernels.spans."""
-
-    def mark_cells(*arguments):
-        mark(arguments[-1])
-
-    patch.lay_out(
-        [NOBODY], SimpleNamespace(**vars(kernels(patch.real)) | {"mark_cells": mark_cells}), [], Crew(1), [(0, 0)]
-    )
+    patch.lay_out(lambda marks, slack: mark(marks), kernels(patch.real), [])

@@ -6,7 +6,6 @@ import numpy as np
 
 from pmpm.kernels.alignment import aligned
 from pmpm.kernels.needs import Stencil
-from pmpm.kernels.places import FORMATS
 from pmpm.kernels.spans import QUADS
 
 SLACK = 0.5  # cells that particles may travel along an axis before nodes are laid out anew
@@ -102,23 +101,16 @@ class Patch:
         self.apart += pairs
         return np.array(pairs, np.int64).reshape(-1, 2)
 
-    def lay_out(self, populations, kernels, mirrors, crew, parts):
+    def lay_out(self, mark, kernels, mirrors):
         """Take the nodes that the particles reach, now and until any has travelled SLACK cells along an axis.
 
-        mirrors: (array axis, number of the plane, row or node on it) of the walls. What one of a pair of images reaches the
-        other has, too: whatever is added to either can be told to both. The threads of a crew share the layers, in `parts`.
+        `mark(marks, slack)` marks what they reach, see kernels.spans; mirrors: (array axis, number of the plane, row or node on
+        it) of the walls. What one of a pair of images reaches the other has, too: whatever is added to either can be told to
+        both.
         """
-        form, geometry = FORMATS[np.dtype(self.real)], self.geometry
+        geometry = self.geometry
         marks = np.zeros((self.layers, self.rows, self.words), np.uint32)
-
-        def mark(layers, _):
-            for p in populations:
-                kernels.mark_cells(
-                    p.places, p.segments, p.layer_start, *layers, geometry.axes[1], geometry.axes[2],
-                    form.whole(geometry.stencil.round), form.fraction, form.whole(SLACK + ROUNDING), marks,
-                )  # fmt: skip
-
-        crew.share(mark, parts)
+        mark(marks, SLACK + ROUNDING)
         if geometry.axes[1] >= 0:
             marks = widened(marks, geometry.stencil.nodes - 1)
         planes = np.zeros((self.planes, self.rows, self.words), np.uint32)

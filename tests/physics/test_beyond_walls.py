@@ -33,7 +33,7 @@ def test_a_regroup_keeps_particles_a_little_beyond_the_ends_of_the_domain(shape,
     order, as_before = np.argsort(simulation.particles.id), np.argsort(ids)
     assert (simulation.particles.x[order] == moved[as_before]).all()
     simulation.lay_out()
-    simulation.scatter(0.0, simulation.kernels.p2g)
+    simulation.scatter(0.0, "p2g")
     assert simulation.patch.nodes[:, 3].sum() == pytest.approx(simulation.measure()["mass"], rel=1e-12)
 
 

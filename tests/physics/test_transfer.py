@@ -62,7 +62,7 @@ def scatter(simulation, dt):
     simulation.lay_out()
     if simulation.needs.scheme.blends:
         simulation.keep_velocities(dt)
-    simulation.scatter(dt, simulation.kernels.p2g)
+    simulation.scatter(dt, "p2g")
     simulation.finish_halo()
     return places(simulation), *mass_and_vector(simulation)
 
@@ -70,7 +70,7 @@ def scatter(simulation, dt):
 def gather(simulation, dt=0.0):
     """G2P alone, from what the nodes hold as velocities."""
     layers = simulation.last_layer - simulation.first_layer
-    simulation.g2p((0, layers), 0, simulation.real(dt))
+    simulation.processor.g2p([(0, layers)], simulation.real(dt))
     assert simulation.failure is None
 
 
@@ -174,7 +174,7 @@ def test_an_affine_velocity_field_is_reproduced_exactly(dim, transfer, shape, pr
     touched = m > 0.0
     nodes = p[touched] / m[touched, None]
     assert np.abs(nodes - v0 - x[touched] @ A.T).max() < 100.0 * eps * size
-    simulation.update_planes((0, simulation.patch.planes), 0.0)
+    simulation.processor.update_planes((0, simulation.patch.planes), 0.0)
     dt = 1e-3
     gather(simulation, dt)
     assert np.abs(simulation.particles.v - v0 - before @ A.T).max() < 100.0 * eps * size
@@ -205,11 +205,11 @@ def test_flip_adds_the_change_of_the_grid_to_what_the_grid_does_not_hold(blend):
     flip.blend = blend
     for simulation in (pic, flip):
         scatter(simulation, dt=1e-3)
-        simulation.update_planes((0, simulation.patch.planes), 0.0)
+        simulation.processor.update_planes((0, simulation.patch.planes), 0.0)
         gather(simulation, 0.0)
     smoothed = cloud(2, "pic", "quadratic", "float64")
     scatter(smoothed, dt=0.0)
-    smoothed.update_planes((0, smoothed.patch.planes), 0.0)
+    smoothed.processor.update_planes((0, smoothed.patch.planes), 0.0)
     gather(smoothed, 0.0)
     expected = pic.particles.v + blend * (before - smoothed.particles.v)
     assert np.abs(flip.particles.v - expected).max() < 1e-13 * np.abs(expected).max()

@@ -1,0 +1,254 @@
+"""What a rank does in a step, on threads of its processor: particles to nodes, nodes, nodes to particles.
+
+A processor knows no order of a step; `Simulation` does. The same verbs for graphics cards: processors.cuda.
+"""
+
+import numpy as np
+
+from pmpm.kernels import build
+from pmpm.kernels.loops import FORCES, WORKS
+from pmpm.kernels.places import FORMATS
+from pmpm.parallel.halo import Halo
+from pmpm.parallel.parts import Crew, parts_of, pieces
+from pmpm.state.derived import PARAMETERS
+from pmpm.state.grid import Patch
+
+EXTREMES = 4  # maxima that G2P returns: speed^2, wave speed^2, drift, |dt grad v|^2
+WORTH_SHARING = 1 << 15  # nodes: to clear fewer takes no longer than to wake a thread
+
+
+class Cpu:
+    """The processor of one rank of a simulation. P2G and G2P go through `parts`, ranges (first, last + 1) of its layers."""
+
+    def __init__(self, simulation, threads):
+        self.simulation, self.crew = simulation, Crew(threads)
+        self.real, self.tables = simulation.real, [table.astype(simulation.real) for table in simulation.tables]
+        counts = [table.shape[1] - PARAMETERS for table in self.tables]
+        self.kernels = build.build(simulation.needs, simulation.layouts, counts, build.chosen_loops(), threads)
+
+    @property
+    def threads(self):
+        return self.crew.threads
+
+    @property
+    def patch(self):
+        return self.simulation.patch
+
+    @property
+    def populations(self):
+        return self.simulation.populations
+
+    # ---- set-up ----
+
+    def new_patch(self):
+        """(Patch, Halo) for the layers that the simulation's slabs give this rank."""
+        simulation, needs = self.simulation, self.simulation.needs
+        patch = Patch(
+            simulation.geometry, simulation.first_layer, simulation.last_layer, len(needs.laws), self.real,
+            needs.scheme.blends, needs.f_bar, self.threads,
+        )  # fmt: skip
+        halo = Halo(simulation.comm, simulation.slabs, patch, self.kernels, simulation.halo_sent)
+        self.kept_by_halo = len(patch.apart)
+        self.works = np.zeros(patch.layers)  # J that P2G has put into each layer
+        self.steps = np.zeros(self.threads)  # the largest in cells that each thread has seen
+        return patch, halo
+
+    def share_layers(self, work):
+        """The Parts of layers with this work (layers,): which are summed first, and which thread does what."""
+        window, halo, patch = self.simulation.needs.stencil.window, self.simulation.halo, self.patch
+        parts = parts_of(work, window, halo.low_shared, halo.high_shared, self.threads)
+        del patch.apart[self.kept_by_halo :]
+        self.apart = patch.keep_apart(list(parts.apart))
+        return parts
+
+    def warm_up(self):
+        """Compile all kernels, or load them, by calling them on nothing. The nodes have been laid out."""
+        needs, kernels, nothing = self.simulation.needs, self.kernels, [(0, 0)]
+        if needs.scheme.blends:
+            self.p2g(nothing, 0.0, "p2g_before")
+        if needs.f_bar:
+            self.p2g(nothing, 0.0, "p2g_divergence")
+            self.measure_divergence(nothing)
+        self.p2g(nothing, 0.0, "p2g")
+        self.update_planes((0, 0), 0.0)
+        self.g2p(nothing, self.real(0))
+        if self.simulation.slabs.cuts or len(self.apart):
+            self.simulation.halo.warm_up()
+        none, normal, met = self.real(0), np.zeros(needs.dim, self.real), np.zeros((0, 5), np.int64)
+        for wall, image in zip(kernels.walls.values(), kernels.images.values(), strict=True):
+            wall(self.patch.nodes, met, 0, 0, normal, none, normal)
+            image(self.patch.nodes, met, 0, 0, normal, normal)
+
+    def take_particles(self):
+        """Take note that the simulation holds other particles, or has ordered them anew."""
+
+    def give_particles(self):
+        """See to it that the simulation's populations are up to date."""
+
+    # ---- nodes that there are ----
+
+    def mark(self, marks, slack):
+        """Mark the nodes that the particles reach now or `slack` (cells) farther, see kernels.spans."""
+        geometry, form = self.simulation.geometry, FORMATS[np.dtype(self.real)]
+
+        def mark_layers(layers, _):
+            for p in self.populations:
+                self.kernels.mark_cells(
+                    p.places, p.segments, p.layer_start, *layers, geometry.axes[1], geometry.axes[2],
+                    form.whole(geometry.stencil.round), form.fraction, form.whole(slack), marks,
+                )  # fmt: skip
+
+        parts = self.simulation.parts
+        self.crew.share(mark_layers, [*parts.edges, *parts.inner])
+
+    def take_nodes(self):
+        """Take note that the patch has other nodes."""
+
+    # ---- a step ----
+
+    def begin(self):
+        """Forget the maxima and sums of the step before."""
+        self.kernels.scratch[:, FORCES:WORKS] = 0.0
+        self.works[:] = 0.0
+        self.steps[:] = 0.0
+
+    def clear(self):
+        """No impulse and no mass on any node."""
+        nodes = self.patch.nodes
+        self.crew.share(
+            lambda part, _: nodes[slice(*part)].fill(0.0), pieces(0, len(nodes), self.threads, WORTH_SHARING)
+        )
+
+    def p2g(self, parts, dt, phase):
+        """Particles to nodes, by the kernels of a phase: p2g, p2g_before or p2g_divergence. Returns the number of runs of
+        particles with the same stencil."""
+        kernels = getattr(self.kernels, phase)
+        return sum(self.crew.share(lambda part, thread: self.p2g_layers(part, thread, dt, kernels), parts))
+
+    def p2g_layers(self, layers, thread, dt, p2g):
+        runs, patch, kernels, simulation = 0, self.patch, self.kernels, self.simulation
+        first, last = layers
+        for begin in range(first, max(last, first + 1), patch.chunk):
+            end = min(begin + patch.chunk, last)
+            for number, (kernel, p) in enumerate(zip(p2g, self.populations, strict=True)):
+                runs += kernel(
+                    p.reals, p.places, p.segments, p.layer_start, begin, end, self.tables[number],
+                    patch.windows[thread], patch.corner, number == len(p2g) - 1, patch.placed, patch.placed_start,
+                    patch.slots, patch.nodes, patch.unsummed, kernels.scratch[thread], kernels.first_nodes[thread],
+                    kernels.constants, self.real(dt), simulation.dx, simulation.inv_dx, simulation.first_layer,
+                    self.real(simulation.time), simulation.drive.factor, self.works,
+                )  # fmt: skip
+        return runs
+
+    def add_apart(self):
+        """Add what threads have kept apart for those before them."""
+        if len(self.apart):
+            self.patch.add_apart(self.kernels, self.apart)
+
+    @property
+    def forces(self):
+        """Max |b|^2 of the body force in this step's P2G."""
+        return self.kernels.scratch[:, FORCES:WORKS].max()
+
+    @property
+    def travelled(self):
+        """Cells: the longest way along any axis that a particle has gone in this step."""
+        return self.steps.max()
+
+    def give_shared(self):
+        """See to it that the halo finds the sums of the shared planes."""
+
+    def take_shared(self):
+        """Take note that the halo has completed them."""
+
+    def update(self, first, last, dt):
+        """`update_planes` by all threads: walls couple nodes of a few planes, which one thread does."""
+        for region in self.simulation.drive.regions:
+            region.nodes()  # once, before threads ask
+        ranges = pieces(first, last, self.threads, self.simulation.needs.stencil.window)
+        self.crew.share(lambda planes, thread: self.update_planes(planes, dt), ranges)
+
+    def update_planes(self, planes, dt):
+        """Momentum to velocity on a range of planes of the patch, with gravity, damping, walls and regions."""
+        patch, drive, (first, last) = self.patch, self.simulation.drive, planes
+        nodes, quads = patch.nodes, (patch.plane_start[first], patch.plane_start[last])
+        for images in patch.images:
+            images.sum(nodes, first, last)
+        if drive.has_gravity:
+            self.kernels.add_gravity(nodes, *quads, drive.gravity_gain(dt))
+        if drive.damping > 0.0:
+            self.kernels.damp(nodes, *quads, drive.kept(dt))
+        here = [(wall, wall.between(first, last)) for wall in self.simulation.walls]
+        for wall, part in here:
+            self.kernels.walls[wall.type](nodes, wall.met, *part, wall.normal, wall.coefficient, wall.velocity)
+        self.kernels.divide_by_mass(nodes, *quads)
+        for wall, part in here:
+            self.kernels.images[wall.type](nodes, wall.met, *part, wall.normal, wall.velocity)
+        for region in drive.regions:
+            region.impose(nodes, first, last)
+
+    def g2p(self, parts, dt):
+        """Nodes to particles. Returns the maxima of what is reduced and, of each failure, (law, block, lane, cause)."""
+        extremes, failed = np.zeros(EXTREMES), []
+        for found, failures in self.crew.share(lambda part, thread: self.g2p_layers(part, thread, dt), parts):
+            np.maximum(extremes, found, out=extremes)
+            failed += failures
+        return extremes, failed
+
+    def g2p_layers(self, layers, thread, dt):
+        patch, kernels, simulation = self.patch, self.kernels, self.simulation
+        extremes, failed = np.zeros(EXTREMES), []
+        for number, (kernel, p) in enumerate(zip(kernels.g2p, self.populations, strict=True)):
+            failure = np.zeros(3, np.int64)
+            *found, step = kernel(
+                p.reals, p.places, p.segments, p.layer_start, *layers, self.tables[number], patch.nodes, patch.before,
+                simulation.blend, patch.divergences, patch.spans, patch.row_start, patch.first_quads, patch.corner,
+                patch.rings[thread], simulation.first_layer, simulation.limits, simulation.ends, kernels.scratch[thread],
+                kernels.first_nodes[thread], kernels.constants, dt, simulation.dx, simulation.inv_dx, failure,
+            )  # fmt: skip
+            np.maximum(extremes, found, out=extremes)
+            self.steps[thread] = max(self.steps[thread], step)
+            if failure[0]:
+                cause, block, lane = map(int, failure)
+                failed.append((number, block, lane, cause))
+        return extremes, failed
+
+    def measure_divergence(self, parts):
+        """Of the velocities on the nodes, at the particles."""
+        self.crew.share(self.measure_layers, parts)
+
+    def measure_layers(self, layers, thread):
+        kernels, patch = self.kernels, self.patch
+        for kernel, p in zip(kernels.measure_divergence, self.populations, strict=True):
+            kernel(
+                p.reals, p.places, p.segments, p.layer_start, *layers, patch.nodes, patch.spans, patch.row_start,
+                patch.first_quads, patch.corner, patch.rings[thread], kernels.scratch[thread],
+                kernels.first_nodes[thread], kernels.constants, self.simulation.inv_dx,
+            )  # fmt: skip
+
+    def average(self, name):
+        """Divide the sums on the nodes by their mass, or volume, and keep what comes out as the patch's `name`."""
+        patch = self.patch
+        for images in patch.images:
+            images.sum(patch.nodes, 0, patch.planes)
+        self.kernels.divide_by_mass(patch.nodes, 0, patch.quads)
+        getattr(patch, name)[:] = patch.nodes
+
+    def keep_nodes(self):
+        """Put the velocities on the nodes aside."""
+        self.patch.velocities[:] = self.patch.nodes
+
+    def restore_nodes(self):
+        """Take them back."""
+        self.patch.nodes[:] = self.patch.velocities
+
+    def energies(self, layers):
+        """(layers, 3) J kinetic, strain and potential energy of this rank's particles in so many of its layers."""
+        simulation = self.simulation
+        found, gravity = np.zeros((layers, 3)), simulation.drive.gravity.astype(self.real)
+        for kernel, p, table in zip(self.kernels.sum_energies, self.populations, self.tables, strict=True):
+            kernel(
+                p.reals, p.places, p.segments, p.layer_start, layers, table, simulation.dx, simulation.first_layer, gravity,
+                found,
+            )  # fmt: skip
+        return found
