@@ -28,7 +28,7 @@ from pmpm.parallel.balance import Balance, best_edges, edges_between, layer_work
 from pmpm.parallel.regroup import migrate, partners
 from pmpm.parallel.slabs import Slabs, room
 from pmpm.particle_access import Particles
-from pmpm.processors.cpu import Cpu
+from pmpm.processors import processor
 from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
 from pmpm.state.assembly import Arrivals, Assembly, leaving, settle
@@ -48,7 +48,7 @@ class Simulation:
     beyond the stable one.
     """
 
-    def __init__(self, scene, comm=None, tell=None, source=None, threads=1):
+    def __init__(self, scene, comm=None, tell=None, source=None, threads=1, backend="cpu"):
         self.comm = communication.adopt(comm)
         self.scene, self.tell = scene, tell or (lambda message: None)
         self.dim, self.real = scene.dim, np.dtype(scene.method.precision).type
@@ -79,7 +79,8 @@ class Simulation:
             raise SceneError(
                 f"environment: PMPM_LOOPS = {loops!r} is not a kind of loops; known are {', '.join(build.LOOPS)}"
             )
-        self.processor = Cpu(self, threads)
+        self.processor = processor(self, backend, threads)
+        self.populations = []
 
         self.control = StepControl(
             self.comm, scene.time, scene.domain.cell_size, self.dim, FARTHEST / 64, SETTLED / 64, TRAVEL
@@ -98,21 +99,21 @@ class Simulation:
         self.in_turn(self.warm_up)
 
     @classmethod
-    def restart(cls, path, scene=None, comm=None, threads=1):
+    def restart(cls, path, scene=None, comm=None, threads=1, backend="cpu"):
         """Go on from a checkpoint file, or the newest good one of a run directory, on any number of ranks.
 
         `scene`: as it was, with changes that a run may take (see docs/reliability.md), or None to take the checkpoint's own; a
         scene with Python functions must be given. Raises SceneError or OutputError.
         """
         comm = communication.adopt(comm)
-        return cls.go_on(restart.find(path, comm), scene, comm, threads=threads)
+        return cls.go_on(restart.find(path, comm), scene, comm, threads=threads, backend=backend)
 
     @classmethod
-    def go_on(cls, origin, scene=None, comm=None, tell=None, threads=1):
+    def go_on(cls, origin, scene=None, comm=None, tell=None, threads=1, backend="cpu"):
         """`restart` from a restart.Origin, which has been found before."""
         scene, comm = scene or restart.scene_of(origin, {}), communication.adopt(comm)
         with restart.opened(origin, scene, comm) as continuation:
-            return cls(scene, comm, tell, continuation, threads)
+            return cls(scene, comm, tell, continuation, threads, backend)
 
     # ---- set-up ----
 
@@ -148,9 +149,10 @@ class Simulation:
 
     def share_layers(self):
         """Say which layers are summed first, and which thread does what; nodes are laid out anew before the next step."""
-        work = layer_work(self.populations, self.balance.works, self.patch.layer_quads)
+        work = layer_work(self.held_populations, self.balance.works, self.patch.layer_quads)
         self.parts = self.processor.share_layers(work)
         self.patch.stale = True
+        self.processor.take_particles()
 
     def lay_out(self):
         """Take the nodes that the particles reach now."""
@@ -161,6 +163,17 @@ class Simulation:
         self.drive.lay_out()
         self.halo.lay_out()
         self.processor.take_nodes()
+
+    @property
+    def populations(self):
+        """This rank's particles of each law, a list of state.particles.Population. Whoever writes to them tells by
+        `changed_by_hand`."""
+        self.processor.give_particles()
+        return self.held_populations
+
+    @populations.setter
+    def populations(self, populations):
+        self.held_populations = populations
 
     @property
     def kernels(self):
@@ -234,6 +247,7 @@ class Simulation:
         new places. Collective."""
         if moved is not None:
             self.regroup(clouds=moved)
+        self.processor.take_particles()
         self.control.begin(self.step_count, self.fastest())
         self.take_energy()
 
@@ -514,7 +528,7 @@ class Simulation:
         """(layers,) work of all layers of the domain in the last step, see `balance`. Collective."""
         work = np.zeros(self.geometry.layers, np.int64)
         work[self.first_layer : self.last_layer] = layer_work(
-            self.populations, self.balance.works, self.patch.layer_quads
+            self.held_populations, self.balance.works, self.patch.layer_quads
         )
         return self.comm.sum(work)
 
@@ -612,12 +626,12 @@ class Simulation:
 
     def rows(self):
         """How many particles this rank holds."""
-        return sum(map(len, self.populations))
+        return sum(map(len, self.held_populations))
 
     @property
     def nbytes(self):
         """Bytes of this rank's particles."""
-        return sum(population.nbytes for population in self.populations)
+        return sum(population.nbytes for population in self.held_populations)
 
     def fields(self, names):
         """dict of this rank's rows of each named field, in the one global order: see state.fields.OUTPUT, `x` and `id`."""

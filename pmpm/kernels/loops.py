@@ -243,41 +243,46 @@ def apply_wall(nodes, met, first, last, normal, coefficient, velocity):
     """
     before = flush_denormals()
     n, u = load_normal(normal), load_normal(velocity)
-    none = real(0.0)
     for i in range(first, last):
-        at = met[i, 0]
-        mass_on = nodes[at, 3]
-        on = la.add_scaled_vector(momentum_at(nodes, at), -mass_on, u)
-        impulse = none
-        for far in range(BEYOND):
-            beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
-            mass_beyond, mass_inner = nodes[beyond, 3], nodes[inside, 3]
-            if mass_beyond > 0.0:
-                past = la.add_scaled_vector(momentum_at(nodes, beyond), -mass_beyond, u)
-                inner = la.add_scaled_vector(momentum_at(nodes, inside), -mass_inner, u)
-                impulse += boundary.mirror_impulse(past, mass_beyond, inner, mass_inner, n)
-        normal_on = la.dot(on, n)
-        holds = TWO_SIDED or (normal_on < 0.0 and normal_on + impulse <= 0.0)
-        pressed = -impulse if holds else none
-        for far in range(BEYOND):
-            beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
-            mass_beyond, mass_inner = nodes[beyond, 3], nodes[inside, 3]
-            if mass_beyond > 0.0:
-                past = la.add_scaled_vector(momentum_at(nodes, beyond), -mass_beyond, u)
-                if holds:
-                    inner = la.add_scaled_vector(momentum_at(nodes, inside), -mass_inner, u)
-                    mirrored = la.add_scaled_vector(inner, 1.0, image(past, n))
-                    mass_inner = mass_inner + mass_beyond
-                    put_vector(nodes, inside, la.add_scaled_vector(mirrored, mass_inner, u))
-                    nodes[inside, 3] = mass_inner
-                    put_vector(nodes, beyond, la.scale_vector(none, past))
-                    nodes[beyond, 3] = none
-                else:
-                    past = wall(past, n, coefficient, none)
-                    put_vector(nodes, beyond, la.add_scaled_vector(past, mass_beyond, u))
-        on = wall(on, n, coefficient, pressed)
-        put_vector(nodes, at, la.add_scaled_vector(on, mass_on, u))
+        apply_wall_at(nodes, met, i, n, coefficient, u)
     restore_denormals(before)
+
+
+def apply_wall_at(nodes, met, i, n, coefficient, u):
+    """The same on one node and those beyond it, of a wall with normal n that moves at u."""
+    none = real(0.0)
+    at = met[i, 0]
+    mass_on = nodes[at, 3]
+    on = la.add_scaled_vector(momentum_at(nodes, at), -mass_on, u)
+    impulse = none
+    for far in range(BEYOND):
+        beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
+        mass_beyond, mass_inner = nodes[beyond, 3], nodes[inside, 3]
+        if mass_beyond > 0.0:
+            past = la.add_scaled_vector(momentum_at(nodes, beyond), -mass_beyond, u)
+            inner = la.add_scaled_vector(momentum_at(nodes, inside), -mass_inner, u)
+            impulse += boundary.mirror_impulse(past, mass_beyond, inner, mass_inner, n)
+    normal_on = la.dot(on, n)
+    holds = TWO_SIDED or (normal_on < 0.0 and normal_on + impulse <= 0.0)
+    pressed = -impulse if holds else none
+    for far in range(BEYOND):
+        beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
+        mass_beyond, mass_inner = nodes[beyond, 3], nodes[inside, 3]
+        if mass_beyond > 0.0:
+            past = la.add_scaled_vector(momentum_at(nodes, beyond), -mass_beyond, u)
+            if holds:
+                inner = la.add_scaled_vector(momentum_at(nodes, inside), -mass_inner, u)
+                mirrored = la.add_scaled_vector(inner, 1.0, image(past, n))
+                mass_inner = mass_inner + mass_beyond
+                put_vector(nodes, inside, la.add_scaled_vector(mirrored, mass_inner, u))
+                nodes[inside, 3] = mass_inner
+                put_vector(nodes, beyond, la.scale_vector(none, past))
+                nodes[beyond, 3] = none
+            else:
+                past = wall(past, n, coefficient, none)
+                put_vector(nodes, beyond, la.add_scaled_vector(past, mass_beyond, u))
+    on = wall(on, n, coefficient, pressed)
+    put_vector(nodes, at, la.add_scaled_vector(on, mass_on, u))
 
 
 def fill_beyond_wall(nodes, met, first, last, normal, velocity):
@@ -285,7 +290,12 @@ def fill_beyond_wall(nodes, met, first, last, normal, velocity):
     n, u = load_normal(normal), load_normal(velocity)
     for far in range(BEYOND):
         for i in range(first, last):
-            beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
-            if nodes[beyond, 3] == 0.0:
-                seen = image(la.add_scaled_vector(momentum_at(nodes, inside), -1.0, u), n)
-                put_vector(nodes, beyond, la.add_scaled_vector(seen, 1.0, u))
+            fill_beyond_wall_at(nodes, met, i, far, n, u)
+
+
+def fill_beyond_wall_at(nodes, met, i, far, n, u):
+    """The same on the node so far beyond one node of the wall."""
+    beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
+    if nodes[beyond, 3] == 0.0:
+        seen = image(la.add_scaled_vector(momentum_at(nodes, inside), -1.0, u), n)
+        put_vector(nodes, beyond, la.add_scaled_vector(seen, 1.0, u))

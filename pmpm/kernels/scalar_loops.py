@@ -172,6 +172,52 @@ along_axes, stencil_node = along_axes_2, stencil_node_2
 # ---- P2G ----------------------------------------------------------------------------------------------------------------
 
 
+def carried(reals, block, lane, place, mass, volume0, params, base, dt, dx, inv_dx, time, load_factor):
+    """What a particle brings to the nodes: (mass or what else is counted, momentum, affine momentum, stress, |b|^2 of the body
+    force, work of what drives it in J). What a scene does not ask for is a dead value."""
+    v = load_vector(reals, block, V_FIELD, lane)
+    counted, force, work = mass, real(0.0), real(0.0)
+    if IMPULSE:
+        state = load_state(reals, block, STATE_FIELD, lane)
+        tau = law.kirchhoff_stress(state, params)
+        if VISCOUS:
+            tau = la.add_symmetric(tau, law.viscous_stress(state, load_matrix(reals, block, C_FIELD, lane), params))
+        before_forces = v
+        if FORCED:
+            x = cells_to_metres(along_axes(cells_of, place), base, dx)
+            b = body_force(x, load_vector(reals, block, REFERENCE_FIELD, lane), time)
+            v = la.add_scaled_vector(v, dt, b)
+            force = la.dot(b, b)
+        if LOADED:
+            v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, block, LOAD_FIELD, lane))
+        if DRIVEN:
+            gained = la.add_scaled_vector(v, -1.0, before_forces)
+            work = 0.5 * mass * la.dot(gained, la.add_scaled_vector(v, 1.0, before_forces))
+    else:
+        tau = v
+    if DIVERGENCE:
+        counted, v = volume0, along_first(reals[block, DIVERGENCE_FIELD, lane])
+    momentum = la.scale_vector(counted, v)
+    if AFFINE:
+        M = transfer.affine_momentum(counted, load_matrix(reals, block, C_FIELD, lane), dx)
+        if MLS:
+            M = la.add(M, transfer.stress_momentum(volume0 * dt, tau, inv_dx))
+    else:
+        M = v
+    return counted, momentum, M, tau, force, work
+
+
+def given_to_node(weight, d, slope, momentum, M, tau, minus_impulse):
+    """Momentum that a node gets."""
+    if AFFINE:
+        given = transfer.node_momentum(weight, d, momentum, M)
+    else:
+        given = la.scale_vector(weight, momentum)
+    if BY_GRADIENT:
+        given = transfer.node_impulse(given, slope, tau, minus_impulse)
+    return given
+
+
 def p2g(
     reals, places, segments, layer_start, first_layer, last_layer, table, windows, corner, folds, placed, placed_start, slots,
     nodes, unsummed, scratch, first_nodes, constants, dt, dx, inv_dx, layer_node, time, load_factor, works,
@@ -191,34 +237,14 @@ def p2g(
                 place = load_vector(places, block, 0, lane)
                 g = along_axes(offset_of, place)
                 w, dw = along_axes(weights, g), along_axes(slopes, g)
-                v = load_vector(reals, block, V_FIELD, lane)
-                if IMPULSE:
-                    state = load_state(reals, block, STATE_FIELD, lane)
-                    tau = law.kirchhoff_stress(state, params)
-                    if VISCOUS:
-                        tau = la.add_symmetric(
-                            tau, law.viscous_stress(state, load_matrix(reals, block, C_FIELD, lane), params)
-                        )
-                    before_forces = v
-                    if FORCED:
-                        base = node_of_segment(layer_node + layer, segments[s, 3], segments[s, 4])
-                        x = cells_to_metres(along_axes(cells_of, place), base, dx)
-                        X = load_vector(reals, block, REFERENCE_FIELD, lane)
-                        b = body_force(x, X, time)
-                        v = la.add_scaled_vector(v, dt, b)
-                        scratch[FORCES] = max(scratch[FORCES], la.dot(b, b))
-                    if LOADED:
-                        v = la.add_scaled_vector(v, dt * load_factor, load_vector(reals, block, LOAD_FIELD, lane))
-                    if DRIVEN:
-                        gained = la.add_scaled_vector(v, -1.0, before_forces)
-                        works[layer] += 0.5 * mass * la.dot(gained, la.add_scaled_vector(v, 1.0, before_forces))
-                if DIVERGENCE:
-                    mass, v = volume0, along_first(reals[block, DIVERGENCE_FIELD, lane])
-                momentum = la.scale_vector(mass, v)
-                if AFFINE:
-                    M = transfer.affine_momentum(mass, load_matrix(reals, block, C_FIELD, lane), dx)
-                    if MLS:
-                        M = la.add(M, transfer.stress_momentum(volume0 * dt, tau, inv_dx))
+                base = node_of_segment(layer_node + layer, segments[s, 3], segments[s, 4])
+                counted, momentum, M, tau, force, work = carried(
+                    reals, block, lane, place, mass, volume0, params, base, dt, dx, inv_dx, time, load_factor
+                )
+                if FORCED:
+                    scratch[FORCES] = max(scratch[FORCES], force)
+                if DRIVEN:
+                    works[layer] += work
                 i0 = centre_of(place[SLAB]) + PADDING
                 j0 = segments[s, 3] - corner[0] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
                 k0 = segments[s, 4] - corner[1] + centre_of(place[ROW]) + PADDING
@@ -229,15 +255,10 @@ def p2g(
                     for b in range(MIDDLE_NODES):
                         for c in range(NODES):
                             weight, d, slope = stencil_node(w, dw, g, a, b, c)
-                            if AFFINE:
-                                given = transfer.node_momentum(weight, d, momentum, M)
-                            else:
-                                given = la.scale_vector(weight, momentum)
-                            if BY_GRADIENT:
-                                given = transfer.node_impulse(given, slope, tau, minus_impulse)
+                            given = given_to_node(weight, d, slope, momentum, M, tau, minus_impulse)
                             for q in range(DIMENSIONS):
                                 window[i0 + a, j0 + b, k0 + c, q] += given[q]
-                            window[i0 + a, j0 + b, k0 + c, 3] += weight * mass
+                            window[i0 + a, j0 + b, k0 + c, 3] += weight * counted
         if folds:
             fold_layer(windows, number, layer, placed, placed_start, corner, slots, nodes, unsummed)
     restore_denormals(before)
@@ -250,6 +271,55 @@ def p2g(
 def moved(place, step):
     """The place after a step in cells, rounded to the nearest."""
     return place + integer(floor(step * ONE_CELL + 0.5))
+
+
+def advance(
+    reals, places, block, lane, place, v, L, B, v_before, divergence, blend, params, density, base, limits, ends, dt, inv_dx
+):  # fmt: skip
+    """Advance a particle that has gathered velocity v, its gradient L in cells and B, and write it. Returns why it stops the
+    run, or 0, and of what is reduced: speed^2, wave speed^2, |dt grad v|^2, drift as a place, the step in cells."""
+    C = la.scale(INERTIA * inv_dx, B) if BY_INERTIA else la.scale(inv_dx, L)
+    G = la.scale(dt, C) if MLS else la.scale(dt * inv_dx, L)
+    if F_BAR:
+        G = transfer.with_divergence(G, dt * divergence)
+    state = law.advance(load_state(reals, block, STATE_FIELD, lane), G, dt, params)
+
+    step = la.scale_vector(dt * inv_dx, v)
+    largest_step = real(0.0)
+    for axis in range(DIMENSIONS):
+        largest_step = max(largest_step, abs(step[axis]))
+    cause = 0
+    if not law.valid(state):
+        cause = CAUSE_STATE
+    far = integer(0)
+    if la.within(step, 1.0):
+        for axis in range(DIMENSIONS):
+            reached = moved(place[axis], step[axis])
+            if reached < place_at(limits[axis, 0] - 64 * base[axis]) or reached > place_at(
+                limits[axis, 1] - 64 * base[axis]
+            ):
+                cause = CAUSE_LEFT
+            if axis == SLAB:
+                far = max(far, abs(reached - CENTRE))
+            elif (axis == MIDDLE and PERIODIC_MIDDLE) or (axis == ROW and PERIODIC_ROW):
+                low, high = place_at(ends[axis, 0] - 64 * base[axis]), place_at(ends[axis, 1] - 64 * base[axis])
+                far = max(far, max(low - reached, reached - high) + place_at(SETTLED))
+        if abs(moved(place[SLAB], step[SLAB]) - CENTRE) > place_at(FARTHEST):
+            cause = CAUSE_POSITION
+    else:
+        cause = CAUSE_POSITION
+    if cause == 0:
+        for axis in range(DIMENSIONS):
+            places[block, axis, lane] = moved(place[axis], step[axis])
+
+    if BLENDS:
+        v = transfer.blend_velocity(v, load_vector(reals, block, V_FIELD, lane), v_before, blend)
+    store(reals, block, V_FIELD, lane, v)
+    if STORES_C:
+        store(reals, block, C_FIELD, lane, C)
+    store(reals, block, STATE_FIELD, lane, state)
+    wave_squared = stability.signal_speed_squared(state, params, density, inv_dx)
+    return cause, la.dot(v, v), wave_squared, la.norm_squared(G), far, largest_step
 
 
 def g2p(
@@ -300,54 +370,15 @@ def g2p(
                             if BLENDS:
                                 old = vector_at(ring_before, i0 + a, j0 + b, k0 + c)
                                 v_before = transfer.gather_velocity(v_before, weight, old)
-                C = la.scale(INERTIA * inv_dx, B) if BY_INERTIA else la.scale(inv_dx, L)
-                G = la.scale(dt, C) if MLS else la.scale(dt * inv_dx, L)
-                if F_BAR:
-                    G = transfer.with_divergence(G, dt * divergence)
-                state = law.advance(load_state(reals, block, STATE_FIELD, lane), G, dt, params)
-
-                step = la.scale_vector(dt * inv_dx, v)
-                for axis in range(DIMENSIONS):
-                    largest_step = max(largest_step, abs(step[axis]))
-                cause = 0
-                if not law.valid(state):
-                    cause = CAUSE_STATE
-                far = integer(0)
-                if la.within(step, 1.0):
-                    for axis in range(DIMENSIONS):
-                        reached = moved(place[axis], step[axis])
-                        if reached < place_at(limits[axis, 0] - 64 * base[axis]) or reached > place_at(
-                            limits[axis, 1] - 64 * base[axis]
-                        ):
-                            cause = CAUSE_LEFT
-                        if axis == SLAB:
-                            far = max(far, abs(reached - CENTRE))
-                        elif (axis == MIDDLE and PERIODIC_MIDDLE) or (axis == ROW and PERIODIC_ROW):
-                            low, high = (
-                                place_at(ends[axis, 0] - 64 * base[axis]),
-                                place_at(ends[axis, 1] - 64 * base[axis]),
-                            )
-                            far = max(far, max(low - reached, reached - high) + place_at(SETTLED))
-                    if abs(moved(place[SLAB], step[SLAB]) - CENTRE) > place_at(FARTHEST):
-                        cause = CAUSE_POSITION
-                else:
-                    cause = CAUSE_POSITION
-                if cause == 0:
-                    for axis in range(DIMENSIONS):
-                        places[block, axis, lane] = moved(place[axis], step[axis])
-                elif failure[0] == 0:
+                cause, speed, wave, strain, far, step = advance(
+                    reals, places, block, lane, place, v, L, B, v_before, divergence, blend, params, density, base, limits,
+                    ends, dt, inv_dx,
+                )  # fmt: skip
+                if cause != 0 and failure[0] == 0:
                     failure[0], failure[1], failure[2] = cause, block, lane
-
-                if BLENDS:
-                    v = transfer.blend_velocity(v, load_vector(reals, block, V_FIELD, lane), v_before, blend)
-                store(reals, block, V_FIELD, lane, v)
-                if STORES_C:
-                    store(reals, block, C_FIELD, lane, C)
-                store(reals, block, STATE_FIELD, lane, state)
-                speed_squared = max(speed_squared, la.dot(v, v))
-                wave_squared = max(wave_squared, stability.signal_speed_squared(state, params, density, inv_dx))
-                strain_squared = max(strain_squared, la.norm_squared(G))
-                drift = max(drift, far)
+                largest_step = max(largest_step, step)
+                speed_squared, wave_squared = max(speed_squared, speed), max(wave_squared, wave)
+                strain_squared, drift = max(strain_squared, strain), max(drift, far)
     restore_denormals(before)
     return speed_squared, wave_squared, real(drift) * UNIT, strain_squared, largest_step
 

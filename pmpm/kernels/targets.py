@@ -190,6 +190,26 @@ def lanes(real, **choices):
     return Target("lanes", real, lane_words, jit, choices, intrinsics())
 
 
+def cuda(real, **choices):
+    """numba on graphics cards: one particle per thread. Parts are plain functions where the card is simulated."""
+    from numba import cuda as card
+
+    def compile_for_card(function, role):
+        if role == PART:
+            return function if card_is_simulated() else card.jit(function, device=True, forceinline=True)
+        return card.jit(function, cache=role == ENTRY and not card_is_simulated())
+
+    words_of_card = {"floor": math.floor, "real": real, "word": np.uint32}
+    return Target("cuda", real, words_of_card, compile_for_card, choices)
+
+
+def card_is_simulated():
+    """Whether numba runs CUDA kernels in Python: NUMBA_ENABLE_CUDASIM=1."""
+    import numba
+
+    return bool(numba.config.ENABLE_CUDASIM)  # type: ignore[attr-defined]
+
+
 def arrays(real, **choices):
     """Plain numpy over whole arrays, nothing compiled: for output and measurements, off the hot path."""
     array_words = {

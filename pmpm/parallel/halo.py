@@ -41,11 +41,11 @@ class Message:
 class Halo:
     """Exchanges the shared planes of one rank's patch. Buffers are allocated once per set of cuts; `lay_out` follows the nodes.
 
-    The rank that sums before another one at a cut sends what it has summed, the other what P2G has kept apart for it.
-    `sent`: counts messages and bytes.
+    The rank that sums before another one at a cut sends what it has summed, the other what P2G has kept apart for it. Where the
+    order of sums is not kept anyway (`ordered` false) both send their sums. `sent`: counts messages and bytes.
     """
 
-    def __init__(self, comm, slabs, patch, kernels, sent=None):
+    def __init__(self, comm, slabs, patch, kernels, sent=None, ordered=True):
         self.comm, self.patch, self.kernels = comm, patch, kernels
         self.sums: list[tuple] = []  # sent: (peer, tag, message, first plane)
         self.unsummed: list[tuple] = []  # sent: (peer, tag, message, pairs)
@@ -59,17 +59,21 @@ class Halo:
             if comm.rank == cut.earlier:
                 low = cut.earlier_first - patch.first_plane
                 shift = cut.earlier_first - cut.later_first - patch.first_plane
-                planes = np.array([plane + shift for _, plane in cut.unsummed])
+                planes = np.array(
+                    [plane + shift for _, plane in cut.unsummed] if ordered else range(low, low + cut.planes)
+                )
                 self.sums.append((cut.later, sums_tag, Message(cut.planes, rows, quads, real), low))
                 self.as_earlier.append((cut.later, unsummed_tag, Message(len(planes), rows, quads, real), planes, None))
                 self.note_shared(low, cut.planes)
             if comm.rank == cut.later:
                 low = cut.later_first - patch.first_plane
-                pairs = patch.keep_apart(
-                    [(layer - patch.first_layer, plane - layer + slabs.reach_low) for layer, plane in cut.unsummed]
-                )
+                kept = [(layer - patch.first_layer, plane - layer + slabs.reach_low) for layer, plane in cut.unsummed]
+                pairs = patch.keep_apart(kept if ordered else [])
                 planes = low + np.arange(cut.planes)
-                self.unsummed.append((cut.earlier, unsummed_tag, Message(len(pairs), rows, quads, real), pairs))
+                if ordered:
+                    self.unsummed.append((cut.earlier, unsummed_tag, Message(len(pairs), rows, quads, real), pairs))
+                else:
+                    self.sums.append((cut.earlier, unsummed_tag, Message(cut.planes, rows, quads, real), low))
                 self.as_later.append((cut.earlier, sums_tag, Message(cut.planes, rows, quads, real), planes, pairs))
                 self.note_shared(low, cut.planes)
         self.outgoing: list[tuple] = []  # (where reals go, where they are)
@@ -130,7 +134,8 @@ class Halo:
             self.add(message, planes)
         for _, _, message, planes, pairs in self.as_later:
             self.add(message, planes)
-            self.patch.add_apart(self.kernels, pairs)
+            if len(pairs):
+                self.patch.add_apart(self.kernels, pairs)
 
     def add(self, message, planes):
         patch = self.patch

@@ -1,0 +1,14 @@
+"""What computes a rank's share of a step: the processor or a graphics card. Only what a run asks for is imported."""
+
+
+def processor(simulation, backend, threads):
+    """The processor of this rank: `backend` cpu, on so many threads, or cuda. Raises ValueError for another name."""
+    if backend == "cuda":
+        from pmpm.processors.cuda import Cuda
+
+        return Cuda(simulation)
+    if backend != "cpu":
+        raise ValueError(f"backend = {backend!r}: must be cpu or cuda")
+    from pmpm.processors.cpu import Cpu
+
+    return Cpu(simulation, threads)

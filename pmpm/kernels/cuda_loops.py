@@ -1,0 +1,314 @@
+"""Loops for graphics cards: one thread per particle, node or pair, sums by atomics; what is done to each is in scalar_loops.
+
+Particles lie in blocks of 16 lanes as everywhere, see loops.py; `info[block]` = (layer, row of the table, middle and row number
+of the base node, particles in the block). The nodes of a row follow each other from its first span's on: `first_of_row`.
+Sums come in any order, so that results agree with those of the CPU to rounding, not to the bit.
+"""
+
+from numba import cuda
+
+from pmpm.kernels import loops
+from pmpm.kernels.loops import (
+    BEYOND,
+    PADDING,
+    apply_wall_at,
+    centre_of,
+    fill_beyond_wall_at,
+    momentum_at,
+    node_of_segment,
+)
+from pmpm.kernels.scalar_loops import (
+    FIELD_TUPLES,
+    advance,
+    along_axes,
+    carried,
+    cells_of,
+    cells_to_metres,
+    given_to_node,
+    load_1,
+    load_2,
+    load_3,
+    load_4,
+    load_12,
+    load_state,
+    load_vector,
+    offset_of,
+    stencil_node,
+)
+from pmpm.kernels.spans import QUADS
+from pmpm.physics import tensors2 as la
+from pmpm.physics import transfer
+from pmpm.physics.bspline import slopes_quadratic as slopes
+from pmpm.physics.bspline import weights_quadratic as weights
+from pmpm.physics.materials import neo_hookean as law
+
+real = integer = word = float
+DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
+NODES, MIDDLE_NODES = 3, 1
+MLS = BLENDS = F_BAR = FORCED = DRIVEN = False
+V_FIELD, DIVERGENCE_FIELD, STATE_FIELD = 2, 8, 8
+MASS_COLUMN, VOLUME_COLUMN, DENSITY_COLUMN = loops.MASS_COLUMN, loops.VOLUME_COLUMN, loops.DENSITY_COLUMN
+PARAMETER_COLUMN = loops.PARAMETER_COLUMN
+SPEED, WAVE, DRIFT, STRAIN, STEP, FORCE = range(6)  # of the maxima
+MAXIMA, CAUSES = 6, 4
+UNIT = 2.0**-52
+load_row = load_vector  # parameters of a table with a third axis of one
+
+
+# ---- where nodes are -----------------------------------------------------------------------------------------------------
+
+
+def first_of_row(row_start, span_ends, span_offsets, row, node):
+    """What to add to a node's number in its row: the row's spans lie one after another, `span_ends` in quads."""
+    t = row_start[row]
+    while span_ends[t] <= node >> 2:
+        t += 1
+    return span_offsets[t]
+
+
+def reached_row(place, info, block):
+    """(plane of the patch, row, node) where a particle's stencil begins."""
+    plane = info[block, 0] + centre_of(place[SLAB]) + PADDING
+    middle = info[block, 2] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
+    return plane, middle, info[block, 3] + centre_of(place[ROW]) + PADDING
+
+
+def mark(places, info, first_block, last_block, half, fraction, slack, marks):
+    """Mark what particles reach now or `slack` farther, see kernels.spans.mark_cells; marks are words of 32 quads."""
+    p = cuda.grid(1)
+    block, lane = first_block + (p >> 4), p & 15
+    if block < last_block and lane < info[block, 4]:
+        place = integer(places[block, ROW, lane] + half)
+        low = info[block, 3] + PADDING + ((place - slack) >> fraction)
+        high = info[block, 3] + PADDING + ((place + slack) >> fraction)
+        low_middle = high_middle = 0
+        if DIMENSIONS == 3:
+            place = integer(places[block, MIDDLE, lane] + half)
+            low_middle = info[block, 2] + PADDING + ((place - slack) >> fraction)
+            high_middle = info[block, 2] + PADDING + ((place + slack) >> fraction)
+        last_quad = min((high + 3) >> 2, QUADS * marks.shape[2] - 1)
+        for j in range(max(low_middle, 0), min(high_middle + 1, marks.shape[1])):
+            for q in range(max(low, 0) >> 2, last_quad + 1):
+                cuda.atomic.or_(marks, (info[block, 0], j, q >> 5), word(1 << (q & 31)))
+
+
+# ---- particles to nodes ----------------------------------------------------------------------------------------------------
+
+
+def p2g(
+    reals, places, info, first_block, last_block, table, row_start, span_ends, span_offsets, rows, nodes, maxima, works,
+    dt, dx, inv_dx, layer_node, time, load_factor,
+):  # fmt: skip
+    p = cuda.grid(1)
+    block, lane = first_block + (p >> 4), p & 15
+    if block < last_block and lane < info[block, 4]:
+        row = info[block, 1]
+        mass, volume0 = table[row, MASS_COLUMN, 0], table[row, VOLUME_COLUMN, 0]
+        params = load_row(table, row, PARAMETER_COLUMN, 0)
+        place = load_vector(places, block, 0, lane)
+        g = along_axes(offset_of, place)
+        w, dw = along_axes(weights, g), along_axes(slopes, g)
+        base = node_of_segment(layer_node + info[block, 0], info[block, 2], info[block, 3])
+        counted, momentum, M, tau, force, work = carried(
+            reals, block, lane, place, mass, volume0, params, base, dt, dx, inv_dx, time, load_factor
+        )
+        if FORCED:
+            cuda.atomic.max(maxima, FORCE, force)
+        if DRIVEN:
+            cuda.atomic.add(works, block, work)
+        minus_impulse = -(volume0 * dt) * inv_dx
+        plane, middle, node = reached_row(place, info, block)
+        for a in range(NODES):
+            for b in range(MIDDLE_NODES):
+                first = node + first_of_row(row_start, span_ends, span_offsets, (plane + a) * rows + middle + b, node)
+                for c in range(NODES):
+                    weight, d, slope = stencil_node(w, dw, g, a, b, c)
+                    given = given_to_node(weight, d, slope, momentum, M, tau, minus_impulse)
+                    for q in range(DIMENSIONS):
+                        cuda.atomic.add(nodes, (first + c, q), given[q])
+                    cuda.atomic.add(nodes, (first + c, 3), weight * counted)
+
+
+# ---- nodes to particles ----------------------------------------------------------------------------------------------------
+
+
+def g2p(
+    reals, places, info, first_block, last_block, table, row_start, span_ends, span_offsets, rows, nodes, nodes_before, blend,
+    nodes_divergence, limits, ends, dt, inv_dx, layer_node, maxima, failure,
+):  # fmt: skip
+    p = cuda.grid(1)
+    block, lane = first_block + (p >> 4), p & 15
+    largest = cuda.shared.array(MAXIMA, real)
+    if cuda.threadIdx.x < MAXIMA:
+        largest[cuda.threadIdx.x] = real(0.0)
+    cuda.syncthreads()
+    if block < last_block and lane < info[block, 4]:
+        row = info[block, 1]
+        density, params = table[row, DENSITY_COLUMN, 0], load_row(table, row, PARAMETER_COLUMN, 0)
+        base = node_of_segment(layer_node + info[block, 0], info[block, 2], info[block, 3])
+        place = load_vector(places, block, 0, lane)
+        g = along_axes(offset_of, place)
+        w, dw = along_axes(weights, g), along_axes(slopes, g)
+        v = la.scale_vector(0.0, g)
+        L = B = la.outer(v, v)
+        v_before, divergence = v, real(0.0)
+        plane, middle, node = reached_row(place, info, block)
+        for a in range(NODES):
+            for b in range(MIDDLE_NODES):
+                first = node + first_of_row(row_start, span_ends, span_offsets, (plane + a) * rows + middle + b, node)
+                for c in range(NODES):
+                    weight, d, slope = stencil_node(w, dw, g, a, b, c)
+                    v_node = momentum_at(nodes, first + c)
+                    v = transfer.gather_velocity(v, weight, v_node)
+                    B = transfer.gather_affine(B, weight, v_node, d)
+                    if not MLS:
+                        L = transfer.gather_gradient(L, v_node, slope)
+                    if F_BAR:
+                        divergence += weight * nodes_divergence[first + c, 0]
+                    if BLENDS:
+                        v_before = transfer.gather_velocity(v_before, weight, momentum_at(nodes_before, first + c))
+        cause, speed, wave, strain, far, step = advance(
+            reals, places, block, lane, place, v, L, B, v_before, divergence, blend, params, density, base, limits, ends,
+            dt, inv_dx,
+        )  # fmt: skip
+        if cause != 0:
+            cuda.atomic.min(failure, 0, CAUSES * (16 * block + lane) + cause)
+        cuda.atomic.max(largest, SPEED, speed)
+        cuda.atomic.max(largest, WAVE, wave)
+        cuda.atomic.max(largest, DRIFT, real(far) * UNIT)
+        cuda.atomic.max(largest, STRAIN, strain)
+        cuda.atomic.max(largest, STEP, step)
+    cuda.syncthreads()
+    if cuda.threadIdx.x < MAXIMA:
+        cuda.atomic.max(maxima, cuda.threadIdx.x, largest[cuda.threadIdx.x])
+
+
+def measure_divergence(
+    reals, places, info, first_block, last_block, row_start, span_ends, span_offsets, rows, nodes, inv_dx
+):  # fmt: skip
+    p = cuda.grid(1)
+    block, lane = first_block + (p >> 4), p & 15
+    if block < last_block and lane < info[block, 4]:
+        place = load_vector(places, block, 0, lane)
+        g = along_axes(offset_of, place)
+        w, dw = along_axes(weights, g), along_axes(slopes, g)
+        plane, middle, node = reached_row(place, info, block)
+        divergence = real(0.0)
+        for a in range(NODES):
+            for b in range(MIDDLE_NODES):
+                first = node + first_of_row(row_start, span_ends, span_offsets, (plane + a) * rows + middle + b, node)
+                for c in range(NODES):
+                    _, _, slope = stencil_node(w, dw, g, a, b, c)
+                    divergence += la.dot(momentum_at(nodes, first + c), slope)
+        reals[block, DIVERGENCE_FIELD, lane] = divergence * inv_dx
+
+
+def sum_energies(reals, places, info, last_block, table, dx, layer_node, gravity, energies):
+    """Add kinetic, strain and potential energy of the particles of each block to its row of `energies`."""
+    p = cuda.grid(1)
+    block, lane = p >> 4, p & 15
+    if block < last_block and lane < info[block, 4]:
+        row = info[block, 1]
+        mass, volume0 = table[row, MASS_COLUMN, 0], table[row, VOLUME_COLUMN, 0]
+        params = load_row(table, row, PARAMETER_COLUMN, 0)
+        base = node_of_segment(layer_node + info[block, 0], info[block, 2], info[block, 3])
+        v = load_vector(reals, block, V_FIELD, lane)
+        x = cells_to_metres(along_axes(cells_of, load_vector(places, block, 0, lane)), base, dx)
+        cuda.atomic.add(energies, (block, 0), 0.5 * mass * la.dot(v, v))
+        cuda.atomic.add(energies, (block, 1), volume0 * law.energy(load_state(reals, block, STATE_FIELD, lane), params))
+        cuda.atomic.add(energies, (block, 2), -mass * la.dot(x, gravity))
+
+
+# ---- nodes -----------------------------------------------------------------------------------------------------------------
+
+
+def fill(values, first, last, value):
+    """Of rows first .. last - 1 of four."""
+    n = first + cuda.grid(1)
+    if n < last:
+        for q in range(4):
+            values[n, q] = value
+
+
+def copy(source, values, last):
+    n = cuda.grid(1)
+    if n < last:
+        for q in range(4):
+            values[n, q] = source[n, q]
+
+
+def sum_images(nodes, low, high, first, last):
+    """Both nodes of each pair first .. last - 1 get the total."""
+    n = first + cuda.grid(1)
+    if n < last:
+        for q in range(4):
+            total = nodes[low[n], q] + nodes[high[n], q]
+            nodes[low[n], q] = total
+            nodes[high[n], q] = total
+
+
+def add_gravity(nodes, first, last, gain):
+    """Momentum gains mass times dt times gravity."""
+    n = first + cuda.grid(1)
+    if n < last:
+        for q in range(DIMENSIONS):
+            nodes[n, q] += nodes[n, 3] * gain[q]
+
+
+def damp(nodes, first, last, kept):
+    """Momentum loses all but the part `kept`."""
+    n = first + cuda.grid(1)
+    if n < last:
+        for q in range(3):
+            nodes[n, q] *= kept
+
+
+def divide_by_mass(nodes, first, last):
+    """Momentum -> velocity; nodes without mass are at rest."""
+    n = first + cuda.grid(1)
+    if n < last:
+        mass = nodes[n, 3]
+        for q in range(3):
+            nodes[n, q] = nodes[n, q] / mass if mass > 0.0 else real(0.0)
+
+
+def apply_wall(nodes, met, first, last, normal, coefficient, velocity):
+    """See loops.apply_wall."""
+    i = first + cuda.grid(1)
+    if i < last:
+        apply_wall_at(nodes, met, i, normal, coefficient, velocity)
+
+
+def fill_beyond_wall(nodes, met, first, last, normal, velocity):
+    """See loops.fill_beyond_wall."""
+    i = first + cuda.grid(1)
+    if i < last:
+        for far in range(BEYOND):
+            fill_beyond_wall_at(nodes, met, i, far, normal, velocity)
+
+
+def impose(nodes, numbers, last, velocity):
+    """Give its velocity to those nodes of a region that hold material."""
+    i = cuda.grid(1)
+    if i < last and nodes[numbers[i], 3] > 0.0:
+        for q in range(DIMENSIONS):
+            nodes[numbers[i], q] = velocity[q]
+
+
+def load_13(a, b, f, lane):
+    return load_12(a, b, f, lane) + load_1(a, b, f + 12, lane)
+
+
+def load_14(a, b, f, lane):
+    return load_12(a, b, f, lane) + load_2(a, b, f + 12, lane)
+
+
+def load_15(a, b, f, lane):
+    return load_12(a, b, f, lane) + load_3(a, b, f + 12, lane)
+
+
+def load_16(a, b, f, lane):
+    return load_12(a, b, f, lane) + load_4(a, b, f + 12, lane)
+
+
+ROW_TUPLES = FIELD_TUPLES | dict(enumerate((load_13, load_14, load_15, load_16), 13))
