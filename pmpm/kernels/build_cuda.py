@@ -64,5 +64,7 @@ def build(needs, layouts, parameter_counts):
         target = targets.cuda(real, **scene, wall=wall, image=image, TWO_SIDED=two_sided, BEYOND=needs.stencil.beyond)
         walls[name], images[name] = target.entry(cuda_loops.apply_wall), target.entry(cuda_loops.fill_beyond_wall)
     nodes = {name: general.entry(getattr(cuda_loops, name)) for name in OF_NODES}
-    laws = (tuple(found) for found in (p2g, g2p, before, divergences, measures, energies))
-    return CudaKernels(*laws, general.entry(cuda_loops.mark), nodes, walls, images)
+    return CudaKernels(
+        tuple(p2g), tuple(g2p), tuple(before), tuple(divergences), tuple(measures), tuple(energies),
+        general.entry(cuda_loops.mark), nodes, walls, images,
+    )  # fmt: skip

@@ -4,6 +4,8 @@ Particles and nodes stay on the card from step to step. The simulation's populat
 them (regroups, files, measurements); the shared planes are brought to the host and back for the halo.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import cuda as card
 
@@ -192,12 +194,12 @@ class Cuda:
             (wall, met, wall.between(first, last)) for wall, met in zip(self.simulation.walls, self.met, strict=True)
         ]
         for wall, met, (begin, end) in walls:
-            how = tuple(wall.normal), wall.coefficient, tuple(wall.velocity)
-            self.launch(self.on_card.walls[wall.type], end - begin, nodes, met, begin, end, *how)
+            kernel, velocity = self.on_card.walls[wall.type], tuple(wall.velocity)
+            self.launch(kernel, end - begin, nodes, met, begin, end, tuple(wall.normal), wall.coefficient, velocity)
         self.launch(self.on_card.nodes["divide_by_mass"], count, nodes, *here)
         for wall, met, (begin, end) in walls:
-            how = tuple(wall.normal), tuple(wall.velocity)
-            self.launch(self.on_card.images[wall.type], end - begin, nodes, met, begin, end, *how)
+            kernel, velocity = self.on_card.images[wall.type], tuple(wall.velocity)
+            self.launch(kernel, end - begin, nodes, met, begin, end, tuple(wall.normal), velocity)
         for region in drive.regions:
             plane, number = region.nodes()
             number = np.ascontiguousarray(number[(plane >= first) & (plane < last)])
@@ -293,7 +295,7 @@ class OnCard:
         self.info = on_card(np.ascontiguousarray(info))
         self.reals = on_card(np.ascontiguousarray(population.reals))
         self.places = as_integers(self.reals)
-        self.works = None
+        self.works: Any = None
 
     def blocks_of(self, layers):
         """(first, last + 1) blocks of a range of layers."""
