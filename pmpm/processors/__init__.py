@@ -2,11 +2,16 @@
 
 
 def processor(simulation, backend, threads):
-    """The processor of this rank: `backend` cpu, on so many threads, or cuda. Raises ValueError for another name."""
+    """The processor of this rank: `backend` cpu, on so many threads, cuda, or plan, see there. Raises ValueError for another
+    name."""
     if backend == "cuda":
         from pmpm.processors.cuda import Cuda
 
         return Cuda(simulation)
+    if backend == "plan":
+        from pmpm.processors.plan import Plan
+
+        return Plan(simulation)
     if backend != "cpu":
         raise ValueError(f"backend = {backend!r}: must be cpu or cuda")
     from pmpm.processors.cpu import Cpu

@@ -7,7 +7,7 @@ them (regroups, files, measurements); the shared planes are brought to the host 
 from typing import Any
 
 import numpy as np
-from numba import cuda as card
+from numba import cuda
 
 from pmpm.kernels import build, build_cuda
 from pmpm.kernels.cuda_loops import CAUSES, FORCE, MAXIMA, STEP
@@ -27,14 +27,16 @@ class Cuda:
 
     threads = 1
 
+    card = cuda  # what gives memory
+
     def __init__(self, simulation):
         self.simulation, self.crew, self.real = simulation, Crew(1), simulation.real
         counts = [table.shape[1] - PARAMETERS for table in simulation.tables]
         self.kernels = build.build(simulation.needs, simulation.layouts, counts, "scalar")  # regroups, files
         self.on_card = build_cuda.build(simulation.needs, simulation.layouts, counts)
-        self.tables = [card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
-        self.limits, self.ends = card.to_device(simulation.limits), card.to_device(simulation.ends)
-        self.maxima, self.failure = card.to_device(np.zeros(MAXIMA, self.real)), card.to_device(np.zeros(1, np.int64))
+        self.tables = [self.card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
+        self.limits, self.ends = self.card.to_device(simulation.limits), self.card.to_device(simulation.ends)
+        self.maxima, self.failure = self.card.to_device(np.zeros(MAXIMA, self.real)), self.card.to_device(np.zeros(1, np.int64))
         self.rooms: dict = {}
         self.holds_newest = False  # whether the card's particles are newer than the simulation's
 
@@ -66,7 +68,7 @@ class Cuda:
 
     def take_particles(self):
         """Take the particles of the simulation, which are the newest."""
-        self.particles = [OnCard(population) for population in self.simulation.held_populations]
+        self.particles = [OnCard(population, self.card) for population in self.simulation.held_populations]
         self.holds_newest = False
 
     def give_particles(self):
@@ -82,7 +84,7 @@ class Cuda:
     def mark(self, marks, slack):
         """Mark the nodes that the particles reach now or `slack` (cells) farther, see kernels.spans."""
         form = FORMATS[np.dtype(self.real)]
-        on_card = card.to_device(marks)
+        on_card = self.card.to_device(marks)
         for p in self.particles:
             self.launch(
                 self.on_card.mark, p.lanes, p.places, p.info, 0, p.blocks, form.whole(self.simulation.geometry.stencil.round),
@@ -93,21 +95,21 @@ class Cuda:
     def take_nodes(self):
         """Take note that the patch has other nodes."""
         patch, simulation = self.patch, self.simulation
-        self.row_start = card.to_device(patch.row_start)
-        self.span_ends = card.to_device(np.append(patch.spans[:, 2], 0))
-        self.span_offsets = card.to_device(np.append(4 * (patch.first_quads[:-1] - patch.spans[:, 1]), 0))
+        self.row_start = self.card.to_device(patch.row_start)
+        self.span_ends = self.card.to_device(np.append(patch.spans[:, 2], 0))
+        self.span_offsets = self.card.to_device(np.append(4 * (patch.first_quads[:-1] - patch.spans[:, 1]), 0))
         self.nodes = self.room("nodes")
         self.before = self.room("before") if patch.blends else self.nodes
         self.divergences = self.room("divergences") if patch.f_bar else self.nodes
         self.velocities = self.room("velocities") if patch.f_bar else self.nodes
-        self.met = [card.to_device(np.ascontiguousarray(wall.met)) for wall in simulation.walls]
-        self.images = [(card.to_device(images.low), card.to_device(images.high)) for images in patch.images]
+        self.met = [self.card.to_device(np.ascontiguousarray(wall.met)) for wall in simulation.walls]
+        self.images = [(self.card.to_device(images.low), self.card.to_device(images.high)) for images in patch.images]
 
     def room(self, name):
         """(nodes, 4) reals, kept under this name; larger ones take the place of smaller ones."""
         size = max(4 * self.patch.quads, 4)
         if name not in self.rooms or len(self.rooms[name]) < size:
-            self.rooms[name] = card.to_device(np.zeros((size + size // 8, 4), self.real))
+            self.rooms[name] = self.card.to_device(np.zeros((size + size // 8, 4), self.real))
         return self.rooms[name]
 
     # ---- a step ----
@@ -122,7 +124,7 @@ class Cuda:
         self.maxima.copy_to_device(np.zeros(MAXIMA, self.real))
         self.failure.copy_to_device(np.full(1, NO_FAILURE))
         for p in self.particles:
-            p.works = card.to_device(np.zeros(max(p.blocks, 1) if self.simulation.needs.driven else 1, self.real))
+            p.works = self.card.to_device(np.zeros(max(p.blocks, 1) if self.simulation.needs.driven else 1, self.real))
 
     def clear(self):
         """No impulse and no mass on any node."""
@@ -206,7 +208,7 @@ class Cuda:
             velocity = tuple(region.velocity.astype(self.real))
             if len(number):
                 self.launch(
-                    self.on_card.nodes["impose"], len(number), nodes, card.to_device(number), len(number), velocity
+                    self.on_card.nodes["impose"], len(number), nodes, self.card.to_device(number), len(number), velocity
                 )
 
     def sum_images(self, first, last):
@@ -271,7 +273,7 @@ class Cuda:
         for kernel, p, table in zip(self.on_card.sum_energies, self.particles, self.tables, strict=True):
             if not layers or not p.blocks:
                 continue
-            of_blocks = card.to_device(np.zeros((p.blocks, 3), self.real))
+            of_blocks = self.card.to_device(np.zeros((p.blocks, 3), self.real))
             self.launch(
                 kernel, p.lanes, p.reals, p.places, p.info, p.blocks, table, simulation.dx, simulation.first_layer, gravity,
                 of_blocks,
@@ -283,7 +285,7 @@ class Cuda:
 class OnCard:
     """The particles of one law on the card: reals (blocks, size, 16), places, the same memory as integers, info (blocks, 5)."""
 
-    def __init__(self, population):
+    def __init__(self, population, card):
         self.blocks = len(population.reals)
         self.lanes = LANES * self.blocks
         segment = population.block_segment
@@ -292,8 +294,8 @@ class OnCard:
         self.block_layer, self.layers = layer, len(population.layer_start) - 1
         starts = np.append(population.segments[:, 0], self.blocks)
         self.layer_blocks = starts[population.layer_start]
-        self.info = on_card(np.ascontiguousarray(info))
-        self.reals = on_card(np.ascontiguousarray(population.reals))
+        self.info = copied(np.ascontiguousarray(info), card)
+        self.reals = copied(np.ascontiguousarray(population.reals), card)
         self.places = as_integers(self.reals)
         self.works: Any = None
 
@@ -310,7 +312,7 @@ class OnCard:
         return found
 
 
-def on_card(array):
+def copied(array, card):
     """A copy on the card; of nothing, one row that nobody reads."""
     return card.to_device(array if len(array) else np.zeros((1, *array.shape[1:]), array.dtype))
 
