@@ -128,7 +128,7 @@ def parser(rank=0):
         metavar="HH:MM[:SS]",
         help="stop in time with a checkpoint (status 3); inside a Slurm job its end is known, none: do not stop",
     )
-    run.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="cuda is not built yet")
+    add_backend(run)
     run.add_argument(
         "--threads", type=int, default=1, metavar="N", help="threads per rank; the same bits for any number"
     )
@@ -136,6 +136,7 @@ def parser(rank=0):
 
     check = commands.add_parser("check", help="validate and explain a scene, run nothing", allow_abbrev=False)
     add_scene(check)
+    add_backend(check)
     commands.add_parser("scenes", help="list the built-in scenes")
     commands.add_parser("materials", help="list material models, their keys, units and sources")
     options.add_point(commands)
@@ -154,6 +155,12 @@ def add_scene(command_parser, nargs=None):
         "--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change any key of the scene (repeatable)"
     )
     command_parser.add_argument("--precision", choices=("float32", "float64"), help="of particles and grid")
+
+
+def add_backend(command_parser):
+    command_parser.add_argument(
+        "--backend", choices=("cpu", "cuda"), default="cpu", help="cuda: each rank drives a graphics card of its host"
+    )
 
 
 def read_scene(options, comm):
@@ -187,12 +194,12 @@ def settings(options):
 
 def check_options(options):
     """Raise SceneError for options of `run` that are wrong by themselves."""
-    from pmpm.scene.errors import NotBuilt, SceneError
+    from pmpm.scene.errors import SceneError
 
     if options.scene is None and options.restart is None:
         raise SceneError("pmpm run: give a SCENE, or --restart PATH to continue one")
-    if options.backend == "cuda":
-        raise NotBuilt("--backend cuda is not built yet")
+    if options.backend == "cuda" and options.threads != 1:
+        raise SceneError("--threads: with --backend cuda a rank drives one card from one thread")
     if not 1 <= options.threads <= MOST_THREADS:
         raise SceneError(f"--threads {options.threads}: must be 1 to {MOST_THREADS}")
     for value, name in ((options.until, "--until"), (options.steps, "--steps")):
@@ -222,11 +229,13 @@ def run_or_go_on(options, comm, early):
         complain(begin.message, comm.rank)
     if begin.scene is None:
         return FINISHED
+    if options.backend == "cuda":
+        take_card(begin.scene, options, comm)
     overwrite = options.overwrite or begin.anew
     try:
         simulation = run_scene(
             begin.scene, begin.out, comm, options.until, options.steps, overwrite, options.quiet, begin.origin, deadline,
-            early, options.threads,
+            early, options.threads, options.backend,
         )  # fmt: skip
     except (NumericalFailure, OutputFailure) as failure:
         return complain(f"stopped: {failure}", comm.rank, FAILED)
@@ -239,6 +248,18 @@ def run_or_go_on(options, comm, early):
         with contextlib.suppress(OutputError):  # the run itself is whole
             say(f"{out}: open {out}/snapshots.xdmf in ParaView, or run: pmpm info {out}", comm.rank)
     return STOPPED if stopped else FINISHED
+
+
+def take_card(scene, options, comm):
+    """Let this rank have a card, and say which. Raises SceneError where there is none, or too little memory on it."""
+    from pmpm.processors import cards
+
+    card = cards.take(comm)
+    cards.refuse_memory(scene, card.free, comm.size)
+    if card.warning:
+        complain(card.warning, comm.rank)
+    if not options.quiet:
+        say(f"cards: {card.text}", comm.rank)
 
 
 def where_to_begin(options, comm):
@@ -258,7 +279,7 @@ def check(options, comm):
     scene = read_scene(options, comm)
     from pmpm.explain import explain
 
-    say(explain(scene, max(comm.size, 1)), comm.rank)
+    say(explain(scene, max(comm.size, 1), options.backend), comm.rank)
     return FINISHED
 
 

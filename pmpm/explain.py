@@ -16,9 +16,9 @@ ELASTIC_STATE = {"F", "J", "hencky_strain", "elastic_strain"}
 WITHIN = 1e-6  # a run in float32 knows the stable step no better
 
 
-def explain(scene, ranks):
+def explain(scene, ranks, backend="cpu"):
     """Text of `pmpm check`: particles, memory per rank, time step, what particles hold, which kernels there are, and what was
-    left out. Raises SceneError."""
+    left out; with the backend cuda memory and kernels of the cards too. Raises SceneError."""
     needs, geometry, dt = first_look(scene)
     counted = estimate.places_to_try(scene) <= estimate.MOST_COUNTED
     counts = rehearse(scene, geometry) if counted else estimate.particles(scene)
@@ -43,6 +43,13 @@ def explain(scene, ranks):
         "compiled kernels",
         *(f"  {who:20s} {', '.join(names)}" for who, names in compiled_kernels(scene, needs, ranks).items()),
     ]
+    if backend == "cuda":
+        taken = estimate.memory(scene, needs, geometry, counts)
+        lines += [
+            "on the cards",
+            f"  {'memory':20s} about {estimate.amount((taken.particles + taken.grid) / ranks)} on each of {ranks}",
+            *(f"  {who:20s} {', '.join(names)}" for who, names in card_kernels(scene, needs).items()),
+        ]
     return "\n".join(lines)
 
 
@@ -140,6 +147,25 @@ def compiled_kernels(scene, needs, ranks):
     found = {label: law_entries(needs, watches_energy(scene)) for label in labels(needs.laws)}
     found["walls"] = wall_entries(needs)
     found["shared"] = shared_entries(gravity, damped, cuts)
+    return {who: names for who, names in found.items() if names}
+
+
+def card_kernels(scene, needs):
+    """{law, "walls", "nodes": names of the kernels that a step calls on a card, hence compiles}; see kernels.build_cuda."""
+    blended = ["p2g_before"] if needs.scheme.blends else []
+    averaged = ["p2g_divergence", "measure_divergence"] if needs.f_bar else []
+    guarded = ["sum_energies"] if watches_energy(scene) else []
+    found = {label: ["p2g", "g2p", *blended, *averaged, *guarded] for label in labels(needs.laws)}
+    walls = sorted(set(needs.wall_types) - {"free"})
+    found["walls"] = [f"{part} {name}" for part in ("wall", "image") for name in walls]
+    optional = {
+        "add_gravity": any(scene.domain.gravity),
+        "damp": scene.method.damping > 0.0,
+        "sum_images": any(repeats for axis, repeats in enumerate(needs.periodic) if axis != needs.slab_axis),
+        "copy": needs.scheme.blends or needs.f_bar,
+        "impose": bool(scene.motions),
+    }
+    found["nodes"] = ["mark", "fill", "divide_by_mass", *(name for name, needed in optional.items() if needed)]
     return {who: names for who, names in found.items() if names}
 
 

@@ -43,21 +43,22 @@ def run_scene(
     deadline=None,
     early=(),
     threads=1,
+    backend="cpu",
 ):
     """Run a scene into the folder `out` and return the Simulation. Collective.
 
     `origin`: a restart.Origin to go on from; `deadline`: when to stop by time.time(); `early`: signals that have come
-    before; `threads`: per rank. The run stops early on SIGTERM, SIGINT and SIGUSR1 too, with a checkpoint. Raises SceneError
-    or OutputError before anything is written, NumericalFailure and OutputFailure after the folder has been closed.
+    before; `threads`: per rank; `backend`: cpu or cuda. The run stops early on SIGTERM, SIGINT and SIGUSR1 too, with a
+    checkpoint. Raises SceneError or OutputError before anything is written, NumericalFailure and OutputFailure after the folder has been closed.
     """
     folder = on_rank_zero(comm, lambda: restart.check_folder(out, overwrite, origin))
     progress = Progress(scene.time.end, comm, quiet=quiet)
     requests = Requests(comm, deadline, scene.output.checkpoint_wall_interval)
     with requests.listening(early):
         if origin is None:
-            simulation = Simulation(scene, comm, progress.stage, threads=threads)
+            simulation = Simulation(scene, comm, progress.stage, threads=threads, backend=backend)
         else:
-            simulation = Simulation.go_on(origin, scene, comm, progress.stage, threads)
+            simulation = Simulation.go_on(origin, scene, comm, progress.stage, threads, backend)
         directory = open_folder(folder, simulation, origin, overwrite)
         progress.directory = directory
         status, report, outputs = "failed", {}, None

@@ -682,6 +682,7 @@ class Simulation:
             "stretch": {"steps": self.stretch[0], "seconds": float(self.comm.max(np.array([self.stretch[1]]))[0])},
             "particles": int(self.comm.sum(np.array([self.rows()]))[0]),
             "ranks": self.comm.size,
+            "backend": self.processor.name,
             "threads": self.processor.threads,
             "edges": list(self.slabs.edges),
             "halo": [

@@ -76,7 +76,7 @@ BROKEN = {
     "no such scene": (["run", "dam_brake"], "dam_break"),
     "body without particles": (["run", "drop.toml", "--set", "bodies.0.shape.max=[0.001, 0.001]"], "no particle"),
     "step too long": (["run", "dam_break", "--set", "time.step=0.1"], "stable step"),
-    "not built": (["run", "drop.toml", "--backend", "cuda"], "not built yet"),
+    "no card": (["run", "drop.toml", "--backend", "cuda"], "no NVIDIA driver"),
     "a check of it": (["check", "drop.toml", "--set", "materials.water.density=-1.0"], "density"),
     "no such option": (["run", "drop.toml", "--fast"], "--fast"),
 }

@@ -20,6 +20,8 @@ WORTH_SHARING = 1 << 15  # nodes: to clear fewer takes no longer than to wake a 
 class Cpu:
     """The processor of one rank of a simulation. P2G and G2P go through `parts`, ranges (first, last + 1) of its layers."""
 
+    name = "cpu"
+
     def __init__(self, simulation, threads):
         self.simulation, self.crew = simulation, Crew(threads)
         self.real, self.tables = simulation.real, [table.astype(simulation.real) for table in simulation.tables]

@@ -25,7 +25,7 @@ NO_FAILURE = 1 << 62
 class Cuda:
     """The graphics card of one rank of a simulation."""
 
-    threads = 1
+    name, threads = "cuda", 1
 
     card = cuda  # what gives memory
 
@@ -36,7 +36,10 @@ class Cuda:
         self.on_card = build_cuda.build(simulation.needs, simulation.layouts, counts)
         self.tables = [self.card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
         self.limits, self.ends = self.card.to_device(simulation.limits), self.card.to_device(simulation.ends)
-        self.maxima, self.failure = self.card.to_device(np.zeros(MAXIMA, self.real)), self.card.to_device(np.zeros(1, np.int64))
+        self.maxima, self.failure = (
+            self.card.to_device(np.zeros(MAXIMA, self.real)),
+            self.card.to_device(np.zeros(1, np.int64)),
+        )
         self.rooms: dict = {}
         self.holds_newest = False  # whether the card's particles are newer than the simulation's
 

@@ -91,9 +91,13 @@ def test_a_command_that_is_not_built_says_so(command, capsys):
     assert f"pmpm {command} is not built yet" in refused([command, "x"], capsys)
 
 
-@pytest.mark.parametrize("option", [["--backend", "cuda"]])
-def test_an_option_that_is_not_built_says_so(option, scene_file, capsys):
-    assert "is not built yet" in refused(["run", "drop.toml", *option], capsys)
+def test_without_a_card_a_run_on_one_is_refused(scene_file, capsys):
+    """No driver here; with one, a message of another kind would be the wrong one."""
+    assert "no NVIDIA driver" in refused(["run", "drop.toml", "--backend", "cuda"], capsys)
+
+
+def test_a_card_is_driven_from_one_thread(scene_file, capsys):
+    assert "--threads" in refused(["run", "drop.toml", "--backend", "cuda", "--threads", "2"], capsys)
 
 
 @pytest.mark.parametrize(

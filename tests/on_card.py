@@ -1,0 +1,69 @@
+"""Scenes of tests/fast_and_scalar.py on a simulated graphics card and on the processor, and how far the two have come apart.
+
+    NUMBA_ENABLE_CUDASIM=1 [mpirun -n 2] python -m mpi4py tests/on_card.py FOLDER LABEL ...
+
+prints for each row a line of JSON: distances (fast_and_scalar.distances), by what has happened (migration, restarts). The
+simulator runs each thread in Python, so that scenes make few steps.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import fast_and_scalar as agreement
+import numpy as np
+import random_cuts
+
+from pmpm.parallel.comm import from_launcher
+from pmpm.simulation import Simulation
+
+STEPS = 2  # before and after a regroup
+ROWS = {agreement.label(row): row for row in agreement.PAIRS + agreement.SINGLE + agreement.ALL}
+
+
+def start(scene, comm, backend):
+    """A simulation whose bodies fly fast, so that particles change cells, layers and ranks within few steps."""
+    simulation = Simulation(scene, comm, backend=backend)
+    simulation.particles.v = 40.0 * simulation.particles.v
+    return simulation
+
+
+def go(simulation, edges):
+    """Some steps, a regroup with other cuts, some steps."""
+    simulation.run(steps=STEPS)
+    simulation.regroup(edges=edges)
+    simulation.run(steps=STEPS)
+    return simulation
+
+
+def apart(row, folder, comm):
+    """{what has happened: distances} of one row."""
+    scene = agreement.scene(row)
+    simulations = {backend: start(scene, comm, backend) for backend in ("cpu", "cuda")}
+    edges = random_cuts.random_edges(simulations["cpu"], np.random.default_rng(1)) if comm.size > 1 else None
+    for simulation in simulations.values():
+        go(simulation, edges)
+    found = {"steps": agreement.distances(simulations["cpu"], simulations["cuda"])}
+    sent = int(comm.sum(simulations["cuda"].sent).sum())
+    energies = [comm.sum(simulation.energies().sum(axis=0)) for simulation in simulations.values()]
+    for backend, other in (("cpu", "cuda"), ("cuda", "cpu")):  # a checkpoint of each goes on on both
+        path = folder / f"{backend}.hdf"
+        simulations[backend].save(path)
+        again = [Simulation.restart(path, scene, comm, backend=name) for name in (backend, other)]
+        for simulation in again:
+            simulation.step()
+        found[f"{backend} goes on as {other}"] = agreement.distances(*again)
+    gap = float(np.abs(energies[0] - energies[1]).max() / np.abs(energies[0]).max())
+    return {"apart": found, "sent": sent, "energies": gap}
+
+
+def main():
+    comm, folder = from_launcher(), Path(sys.argv[1])
+    for label in sys.argv[2:]:
+        found = apart(ROWS[label], folder, comm)
+        if comm.rank == 0:
+            print(json.dumps({"row": label, **found}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,47 @@
+"""A simulated graphics card computes what the processor does, but for the growth of round-off: the rows of
+tests/fast_and_scalar.py, each after some steps, a regroup, and restarts from a checkpoint of either on the other.
+
+The simulator decides at import, so that each run has processes of its own. tests/by_hand/on_card_all.py runs other rows.
+"""
+
+import json
+
+import fast_and_scalar as agreement
+import launch
+
+ROWS = [agreement.label(row) for row in agreement.PAIRS + agreement.SINGLE]
+ON_TWO_RANKS = ("several 2 quadratic mls float32 False", "neo_hookean 2 quadratic flip float32 False")
+HEARD = 1e-5, 1e-12  # of the energies, which float32 sums block by block: eps times the steps of a sum of a hundred
+LIMIT = 800
+
+
+def on_card(labels, folder, ranks=None):
+    """What tests/on_card.py has found, by row."""
+    program = (
+        ["-m", "mpi4py", launch.ROOT / "tests" / "on_card.py"] if ranks else [launch.ROOT / "tests" / "on_card.py"]
+    )
+    done = launch.python([*program, folder, *labels], ranks, LIMIT, folder, NUMBA_ENABLE_CUDASIM="1")
+    assert done.status == 0, done.text
+    found = [json.loads(line) for line in done.text.splitlines() if line.startswith("{")]
+    assert [row["row"] for row in found] == list(labels), done.text
+    return found
+
+
+def check(found):
+    for after, apart in found["apart"].items():
+        assert {name: far for name, far in apart.items() if not far <= agreement.BOUND} == {}, (found["row"], after)
+    # It would be cheap to agree where one computes for both.
+    assert found["apart"]["steps"]["v"] > 0.0, found["row"]
+    assert found["energies"] <= HEARD["float64" in found["row"]], found["row"]
+
+
+def test_card_and_processor_agree_to_round_off_after_some_steps(tmp_path):
+    for row in on_card(ROWS, tmp_path):
+        check(row)
+
+
+def test_cards_of_two_ranks_agree_with_their_processors_with_halo_migration_and_other_cuts(tmp_path):
+    found = on_card(ON_TWO_RANKS, tmp_path, ranks=2)
+    for row in found:
+        check(row)
+        assert row["sent"] > 0, row["row"]
