@@ -47,9 +47,10 @@ def run_scene(
 ):
     """Run a scene into the folder `out` and return the Simulation. Collective.
 
-    `origin`: a restart.Origin to go on from; `deadline`: when to stop by time.time(); `early`: signals that have come
-    before; `threads`: per rank; `backend`: cpu or cuda. The run stops early on SIGTERM, SIGINT and SIGUSR1 too, with a
-    checkpoint. Raises SceneError or OutputError before anything is written, NumericalFailure and OutputFailure after the folder has been closed.
+    `origin`: a restart.Origin to go on from; `deadline`: when to stop by time.time(); `early`: signals that have come before;
+    `threads`: per rank; `backend`: cpu or cuda. The run stops early on SIGTERM, SIGINT and SIGUSR1 too, with a checkpoint.
+    Raises SceneError or OutputError before anything is written, NumericalFailure and OutputFailure after the folder has been
+    closed.
     """
     folder = on_rank_zero(comm, lambda: restart.check_folder(out, overwrite, origin))
     progress = Progress(scene.time.end, comm, quiet=quiet)

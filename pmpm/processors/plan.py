@@ -8,6 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from pmpm.kernels.spans import FULL
 from pmpm.processors.cuda import Cuda
 
 
@@ -32,6 +33,11 @@ class Plan(Cuda):
     def __init__(self, simulation):
         super().__init__(simulation)
         self.noted: dict[str, Noted] = {}
+
+    def mark(self, marks, slack):
+        """All nodes: nobody has looked where particles are."""
+        super().mark(marks, slack)
+        marks[...] = FULL
 
     def launch(self, kernel, count, *arguments):
         name = next(name for name, entry in self.on_card.entries.items() if entry is kernel)

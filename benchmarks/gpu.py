@@ -1,0 +1,235 @@
+"""What pmpm asks of a graphics card, and, where there is one, how fast it is.
+
+    python benchmarks/gpu.py [--docs docs]              counts and assembler figures: no card needed
+    python benchmarks/gpu.py --run [--docs docs]        times W1 to W3 on the card of this machine as well
+
+Without a card: of every kernel of the built-in scenes in float32, for A100 (sm_80) and H100 (sm_90), registers, stack, spills
+and double arithmetic, by NVIDIA's own assembler; bytes and atomics per particle-step of W1 to W3 (docs/results/kernels.md),
+derived, and counted in numba's simulator; what bandwidth then allows at most. Needs the extras `cuda` and `test`. Exits with 1
+where a kernel of the elastic, water or sand law spills, has a stack or computes in double precision, or counts differ from what
+was derived. With --docs the page is results/cuda.md.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+import assembler  # noqa: E402
+import machine  # noqa: E402
+import pages  # noqa: E402
+from peers.pmpm_mpm import MATERIALS  # noqa: E402
+from workloads import LAWS, Workload  # noqa: E402
+
+import pmpm  # noqa: E402
+from pmpm.processors.plan import kernels_of  # noqa: E402
+from pmpm.scene.files import builtin_scenes  # noqa: E402
+
+CAPABILITIES = {"A100": (8, 0), "H100": (9, 0)}
+CLEAN = {"neo_hookean", "fluid", "drucker_prager"}  # laws whose kernels must neither spill nor have a stack
+BANDWIDTH = {"A100 80GB": 2.04e12, "H100 SXM": 3.35e12}  # bytes/s, NVIDIA's data sheets
+FIELDS = {"W1": 9, "W2": 7, "W3": 1}  # state: F; Hencky strain and v_c; J
+DIM, NODES, REAL = 3, 27, 4
+PER_CELL = 8
+RUN_CELLS, RUN_STEPS = 128, 100
+
+
+def small_block(name):
+    """A block of a workload's law, small enough for the simulator: 216 particles, quadratic splines, MLS, float32."""
+    return pmpm.Scene(
+        domain={"size": [0.8] * 3, "cell_size": 0.1, "gravity": [0.0, -9.81, 0.0]},
+        method={"precision": "float32", "transfer": "mls"},
+        time={"end": 1.0},
+        materials={"block": MATERIALS[name]},
+        bodies=[{"material": "block", "shape": {"type": "box", "min": [0.2] * 3, "max": [0.5] * 3}}],
+    )
+
+
+def derived(name):
+    """Bytes of a particle's own fields and atomics per particle-step: P2G reads x, v, C and state and adds momentum and mass to
+    27 nodes; G2P reads x, state and the velocities of 27 nodes, and writes x, v, C and state."""
+    x, v, C, state = DIM, DIM, DIM * DIM, FIELDS[name]
+    return {
+        "p2g particle bytes read": REAL * (x + v + C + state),
+        "p2g atomics on nodes": NODES * (DIM + 1),
+        "g2p particle bytes read": REAL * (x + state),
+        "g2p node bytes read": REAL * NODES * DIM,
+        "g2p particle bytes written": REAL * (x + v + C + state),
+    }
+
+
+def counted(name):
+    """What the simulator counts, by particle-step."""
+    environment = os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}
+    paths = os.pathsep.join(filter(None, [str(HERE), str(HERE.parent), os.environ.get("PYTHONPATH")]))
+    done = subprocess.run(
+        [sys.executable, HERE / "count_accesses.py", name], env=environment | {"PYTHONPATH": paths}, capture_output=True,
+        text=True,
+    )  # fmt: skip
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
+
+
+def table(head, rows):
+    return "\n".join("| " + " | ".join(map(str, row)) + " |" for row in (head, ["---"] * len(head), *rows))
+
+
+def kernel_rows(progress):
+    """(rows of the table of kernels, what missed): each kernel once, however many scenes call it."""
+    rows, missed, seen = [], [], set()
+    for scene_name in builtin_scenes():
+        scene = pmpm.Scene.builtin(scene_name, {"method.precision": "float32"})
+        models = sorted({material.model for material in scene.materials.values()})
+        for noted in kernels_of(scene):
+            if (noted.function.__qualname__, noted.types) in seen:
+                continue
+            seen.add((noted.function.__qualname__, noted.types))
+            figures = {card: assembler.assemble(noted.ptx(cc), cc) for card, cc in CAPABILITIES.items()}
+            text = [f"{made.registers} / {made.stack} / {made.spills} / {made.doubles}" for made in figures.values()]
+            rows.append([scene_name, ", ".join(models), noted.name, figures["H100"].atomics, *text])
+            clean = set(models) <= CLEAN
+            bad = [made for made in figures.values() if made.doubles or (clean and (made.spills or made.stack))]
+            missed += [f"{scene_name}: {noted.name}"] * bool(bad)
+        progress(f"{scene_name}: {len(seen)} kernels so far")
+    return rows, missed
+
+
+def count_rows(progress):
+    """(rows of the table of counts, what missed)."""
+    rows, missed = [], []
+    for name in LAWS:
+        wanted, found = derived(name), counted(name)
+        own = found["p2g bytes read"]
+        rows.append([
+            f"{name} {LAWS[name]}", wanted["p2g particle bytes read"], f"{own:.0f}", wanted["p2g atomics on nodes"],
+            f"{found['p2g atomic add']:.2f}", wanted["g2p particle bytes read"] + wanted["g2p node bytes read"],
+            f"{found['g2p bytes read']:.0f}", wanted["g2p particle bytes written"], f"{found['g2p bytes written']:.1f}",
+        ])  # fmt: skip
+        if found["p2g atomic add"] != wanted["p2g atomics on nodes"]:
+            missed.append(f"{name}: {found['p2g atomic add']} atomics, {wanted['p2g atomics on nodes']} derived")
+        if not 0.0 <= found["g2p bytes written"] - wanted["g2p particle bytes written"] < 2.0:  # and block maxima
+            missed.append(
+                f"{name}: {found['g2p bytes written']} bytes written, not {wanted['g2p particle bytes written']}"
+            )
+        if own < wanted["p2g particle bytes read"]:
+            missed.append(f"{name}: {own} bytes read by P2G, less than its fields")
+        progress(f"{name}: counted")
+    return rows, missed
+
+
+def predicted(name):
+    """Bytes per particle-step that must come from memory: a particle's fields, and its share of nodes that are cleared, summed,
+    divided and gathered once each if the rest stays in the cache."""
+    wanted = derived(name)
+    own = sum(value for key, value in wanted.items() if "particle" in key)
+    return own + 5 * 4 * REAL / PER_CELL + 20 / 16 * 2
+
+
+def prediction_rows():
+    rows = []
+    for name in LAWS:
+        size = predicted(name)
+        rows.append(
+            [f"{name} {LAWS[name]}", f"{size:.0f}", *(f"*{rate / size / 1e9:.1f}*" for rate in BANDWIDTH.values())]
+        )
+    return rows
+
+
+def timed(progress):
+    """Rows of measured particle-steps per second on this machine's card."""
+    from pmpm.parallel.comm import Alone
+    from pmpm.processors import cards
+
+    card = cards.take(Alone())
+    rows = []
+    for name in LAWS:
+        from peers.pmpm_mpm import scene
+
+        simulation = pmpm.Simulation(scene(Workload(name, RUN_CELLS), "float32", "quadratic", False), backend="cuda")
+        simulation.run(steps=10)
+        began = time.perf_counter()
+        simulation.run(steps=RUN_STEPS)
+        seconds = time.perf_counter() - began
+        rows.append([f"{name} {LAWS[name]}", simulation.rows(), f"{simulation.rows() * RUN_STEPS / seconds / 1e6:.1f}"])
+        progress(" | ".join(map(str, rows[-1])))
+    return card.text, rows
+
+
+PAGE = """\
+# On a graphics card
+
+`python benchmarks/gpu.py{options} --docs docs` wrote this page.
+{machine}.
+
+`--backend cuda` keeps particles and nodes on the card; loops are in `kernels/cuda_loops.py`, one thread per particle, and
+what is done to a particle or node is compiled from the same functions as on the CPU. **No card has run it yet but numba's
+simulator**: what follows is what can be known without one, and predictions are marked so. Regroups and the sums of shared
+planes go through the host, P2G adds to nodes by atomics in global memory: both are what is to be improved first.
+
+## Kernels
+
+Of the built-in scenes in float32; registers / bytes of stack / bytes spilled / places with double arithmetic, by NVIDIA's
+assembler. {verdict}
+
+{kernels}
+
+## Bytes and atomics per particle-step
+
+3-D, quadratic splines, MLS-MPM, float32. Derived: P2G reads x, v, C and the state and adds momentum and mass to 27 nodes; G2P
+reads x, the state and 27 velocities and writes x, v, C and the state. Counted: all accesses of the kernels in the simulator, for
+216 particles. What is read beyond the derived is the table of materials, the blocks' records and the starts of rows, which the
+card's cache holds, and fields that a kernel names twice, which the compiler reads once.
+
+{counts}
+
+## Predicted
+
+Bytes that must come from memory if each particle's fields are read twice and written once and nodes stay in the cache, and
+the particle-steps per second (10^9) that bandwidth then allows **at most**: *predictions*, before the cost of atomics, which on
+plain global sums are the likelier limit. Published: JAX-MPM 0.12 x 10^9 in float32 and 0.028 x 10^9 in float64 on a GPU that
+its abstract does not name (2.7 million particles, 1000 steps, 22 s and 98 s).
+
+{predictions}
+{measured}"""
+
+
+def main():
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--run", action="store_true", help="time W1 to W3 on the card of this machine")
+    options.add_argument("--docs", type=Path)
+    given = options.parse_args()
+
+    def progress(text):
+        print(text, flush=True)
+
+    kernels, missed = kernel_rows(progress)
+    counts, differ = count_rows(progress)
+    missed += differ
+    measured = ""
+    if given.run:
+        card, rows = timed(progress)
+        measured = f"\n## Measured\n\n{card}; million particle-steps/s.\n\n"
+        measured += table(["", "particles", "million particle-steps/s"], rows) + "\n"
+    verdict = "All meet the gates." if not missed else f"Missed: {'; '.join(missed)}."
+    text = PAGE.format(
+        options=" --run" if given.run else "", machine=machine.text(("numba", "numba-cuda")), verdict=verdict,
+        kernels=table(["first met in", "laws", "kernel", "atomics in the code", *CAPABILITIES], kernels),
+        counts=table(["", "P2G reads, derived", "counted", "atomics, derived", "counted", "G2P reads, derived", "counted",
+                      "G2P writes, derived", "counted"], counts),
+        predictions=table(["", "bytes", *BANDWIDTH], prediction_rows()), measured=measured,
+    )  # fmt: skip
+    print(text)
+    if given.docs:
+        pages.write(given.docs, "cuda", text)
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
