@@ -1,4 +1,6 @@
-"""Counts what P2G and G2P on a graphics card read, write and add, in the simulator: `python benchmarks/count_accesses.py W1`.
+"""Counts what P2G and G2P on a graphics card read, write and add, in the simulator.
+
+    python benchmarks/count_accesses.py W1 tiled|direct
 
 Started by gpu.py with NUMBA_ENABLE_CUDASIM=1, which has to be set before numba is imported. Every access of a kernel to an
 array of the card is counted, element by element, with the bytes of the element; prints a line of JSON.
@@ -14,6 +16,7 @@ from numba.cuda.simulator.cudadrv import devicearray
 from numba.cuda.simulator.kernelapi import FakeCUDAAtomic
 
 import pmpm
+from pmpm.processors.cuda import Cuda
 
 COUNTS: Counter = Counter()
 PHASE = ["none"]
@@ -40,6 +43,11 @@ def itemsize(array):
     return getattr(array, "_item", array).dtype.itemsize
 
 
+def in_memory(array):
+    """Whether an array lies in the card's memory: those that a block of threads shares are bare."""
+    return isinstance(array, devicearray.FakeWithinKernelCUDAArray)
+
+
 def watch():
     """Count from now on."""
     within = devicearray.FakeWithinKernelCUDAArray
@@ -47,10 +55,11 @@ def watch():
     within.__setitem__ = counted("bytes written", within.__setitem__, lambda array, _: itemsize(array))
     for name in ("add", "max", "min", "or_"):
         original = getattr(FakeCUDAAtomic, name)
-        setattr(FakeCUDAAtomic, name, counted(f"atomic {name}", original, lambda *_: 1))
+        setattr(FakeCUDAAtomic, name, counted(f"atomic {name}", original, lambda _, arguments: in_memory(arguments[0])))
 
 
 def main():
+    Cuda.tiled = sys.argv[2] == "tiled"
     simulation = pmpm.Simulation(small_block(sys.argv[1]), backend="cuda")
     simulation.step()
     watch()

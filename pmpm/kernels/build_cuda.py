@@ -8,6 +8,9 @@ import numpy as np
 from pmpm.kernels import cuda_loops, scalar_loops, targets
 from pmpm.kernels.build import WALLS, law_choices, scalar_choices, scene_choices
 
+TILE_BYTES = (
+    24_000  # of shared memory, of which a block of threads may have 48 kB: two such blocks and more run at a time
+)
 OF_NODES = ("fill", "copy", "sum_images", "add_gravity", "damp", "divide_by_mass", "impose")
 
 
@@ -36,11 +39,12 @@ class CudaKernels:
         return found | {f"image {name}": kernel for name, kernel in self.images.items()}
 
 
-def build(needs, layouts, parameter_counts):
-    """Kernels for these needs, not compiled yet. Layouts and counts are per law."""
+def build(needs, layouts, parameter_counts, tiled=True):
+    """Kernels for these needs, not compiled yet. Layouts and counts are per law; `tiled`: see cuda_loops.p2g."""
     targets.use_cache_folder()
     real = np.dtype(needs.precision).type
     scene = scene_choices(needs) | scalar_choices(needs)
+    scene |= {"TILED": tiled, "TILE_REALS": TILE_BYTES // np.dtype(real).itemsize}
     general = targets.cuda(real, **scene)
     p2g, g2p, before, divergences, measures, energies = [], [], [], [], [], []
     for law, layout, count in zip(needs.laws, layouts, parameter_counts, strict=True):

@@ -5,6 +5,7 @@ of the base node, particles in the block). The nodes of a row follow each other 
 Sums come in any order, so that results agree with those of the CPU to rounding, not to the bit.
 """
 
+import numpy as np
 from numba import cuda
 
 from pmpm.kernels import loops
@@ -45,6 +46,9 @@ from pmpm.physics.materials import neo_hookean as law
 real = integer = word = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 NODES, MIDDLE_NODES = 3, 1
+THREADS = 128  # of a block of threads: eight blocks of particles
+TILED, TILE_REALS, FAR = True, 6000, 1 << 30  # reals of a box in shared memory; fewer in float64
+int32 = np.int32
 MLS = BLENDS = F_BAR = FORCED = DRIVEN = False
 V_FIELD, DIVERGENCE_FIELD, STATE_FIELD = 2, 8, 8
 MASS_COLUMN, VOLUME_COLUMN, DENSITY_COLUMN = loops.MASS_COLUMN, loops.VOLUME_COLUMN, loops.DENSITY_COLUMN
@@ -99,9 +103,35 @@ def p2g(
     reals, places, info, first_block, last_block, table, row_start, span_ends, span_offsets, rows, nodes, maxima, works,
     dt, dx, inv_dx, layer_node, time, load_factor,
 ):  # fmt: skip
-    p = cuda.grid(1)
+    """Particles to nodes. TILED: a block of threads sums in shared memory first, in a box around the nodes that its particles
+    reach, and adds to the nodes once; where the box is too large each particle adds to the nodes itself."""
+    p, thread = cuda.grid(1), cuda.threadIdx.x
     block, lane = first_block + (p >> 4), p & 15
-    if block < last_block and lane < info[block, 4]:
+    active = block < last_block and lane < info[min(block, last_block - 1), 4]
+    plane = middle = node = low_plane = low_middle = low_node = middles = nodes_of_row = size = 0
+    if TILED:
+        box = cuda.shared.array(6, int32)
+        tile = cuda.shared.array(TILE_REALS, real)
+        if thread < 6:
+            box[thread] = FAR if thread < 3 else -FAR
+        cuda.syncthreads()
+        if active:
+            plane, middle, node = reached_row(load_vector(places, block, 0, lane), info, block)
+            cuda.atomic.min(box, 0, plane)
+            cuda.atomic.min(box, 1, middle)
+            cuda.atomic.min(box, 2, node)
+            cuda.atomic.max(box, 3, plane)
+            cuda.atomic.max(box, 4, middle)
+            cuda.atomic.max(box, 5, node)
+        cuda.syncthreads()
+        low_plane, low_middle, low_node = box[0], box[1], box[2]
+        middles, nodes_of_row = box[4] - low_middle + MIDDLE_NODES, box[5] - low_node + NODES
+        size = (box[3] - low_plane + NODES) * middles * nodes_of_row
+        if 4 * size <= TILE_REALS:
+            for n in range(thread, 4 * size, THREADS):
+                tile[n] = real(0.0)
+        cuda.syncthreads()
+    if active:
         row = info[block, 1]
         mass, volume0 = table[row, MASS_COLUMN, 0], table[row, VOLUME_COLUMN, 0]
         params = load_row(table, row, PARAMETER_COLUMN, 0)
@@ -118,15 +148,42 @@ def p2g(
             cuda.atomic.add(works, block, work)
         minus_impulse = -(volume0 * dt) * inv_dx
         plane, middle, node = reached_row(place, info, block)
-        for a in range(NODES):
-            for b in range(MIDDLE_NODES):
-                first = node + first_of_row(row_start, span_ends, span_offsets, (plane + a) * rows + middle + b, node)
-                for c in range(NODES):
-                    weight, d, slope = stencil_node(w, dw, g, a, b, c)
-                    given = given_to_node(weight, d, slope, momentum, M, tau, minus_impulse)
+        if TILED and 4 * size <= TILE_REALS:
+            for a in range(NODES):
+                for b in range(MIDDLE_NODES):
+                    first = (
+                        ((plane - low_plane + a) * middles + middle - low_middle + b) * nodes_of_row + node - low_node
+                    )
+                    for c in range(NODES):
+                        weight, d, slope = stencil_node(w, dw, g, a, b, c)
+                        given = given_to_node(weight, d, slope, momentum, M, tau, minus_impulse)
+                        for q in range(DIMENSIONS):
+                            cuda.atomic.add(tile, q * size + first + c, given[q])
+                        cuda.atomic.add(tile, 3 * size + first + c, weight * counted)
+        else:
+            for a in range(NODES):
+                for b in range(MIDDLE_NODES):
+                    first = node + first_of_row(
+                        row_start, span_ends, span_offsets, (plane + a) * rows + middle + b, node
+                    )
+                    for c in range(NODES):
+                        weight, d, slope = stencil_node(w, dw, g, a, b, c)
+                        given = given_to_node(weight, d, slope, momentum, M, tau, minus_impulse)
+                        for q in range(DIMENSIONS):
+                            cuda.atomic.add(nodes, (first + c, q), given[q])
+                        cuda.atomic.add(nodes, (first + c, 3), weight * counted)
+    if TILED:
+        cuda.syncthreads()
+        if 4 * size <= TILE_REALS:
+            for n in range(thread, size, THREADS):
+                if tile[3 * size + n] != 0.0:
+                    of_plane, k = n // nodes_of_row, low_node + n % nodes_of_row
+                    a, b = of_plane // middles, of_plane % middles
+                    row = (low_plane + a) * rows + low_middle + b
+                    first = first_of_row(row_start, span_ends, span_offsets, row, k)
                     for q in range(DIMENSIONS):
-                        cuda.atomic.add(nodes, (first + c, q), given[q])
-                    cuda.atomic.add(nodes, (first + c, 3), weight * counted)
+                        cuda.atomic.add(nodes, (first + k, q), tile[q * size + n])
+                    cuda.atomic.add(nodes, (first + k, 3), tile[3 * size + n])
 
 
 # ---- nodes to particles ----------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 from numba import cuda
 
 from pmpm.kernels import build, build_cuda
-from pmpm.kernels.cuda_loops import CAUSES, FORCE, MAXIMA, STEP
+from pmpm.kernels.cuda_loops import CAUSES, FORCE, MAXIMA, STEP, THREADS
 from pmpm.kernels.places import FORMATS
 from pmpm.parallel.halo import Halo
 from pmpm.parallel.parts import Crew, parts_of
@@ -18,7 +18,6 @@ from pmpm.state.derived import PARAMETERS
 from pmpm.state.grid import Patch
 from pmpm.state.particles import LANES
 
-THREADS = 128  # of a block of threads: eight blocks of particles
 NO_FAILURE = 1 << 62
 
 
@@ -28,12 +27,13 @@ class Cuda:
     name, threads = "cuda", 1
 
     card = cuda  # what gives memory
+    tiled = True  # whether P2G sums in shared memory first
 
     def __init__(self, simulation):
         self.simulation, self.crew, self.real = simulation, Crew(1), simulation.real
         counts = [table.shape[1] - PARAMETERS for table in simulation.tables]
         self.kernels = build.build(simulation.needs, simulation.layouts, counts, "scalar")  # regroups, files
-        self.on_card = build_cuda.build(simulation.needs, simulation.layouts, counts)
+        self.on_card = build_cuda.build(simulation.needs, simulation.layouts, counts, self.tiled)
         self.tables = [self.card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
         self.limits, self.ends = self.card.to_device(simulation.limits), self.card.to_device(simulation.ends)
         self.maxima, self.failure = (
