@@ -8,11 +8,15 @@ import json
 
 import fast_and_scalar as agreement
 import launch
+import pytest
+import several_laws
+
+import pmpm
 
 ROWS = [agreement.label(row) for row in agreement.PAIRS + agreement.SINGLE]
 ON_TWO_RANKS = ("several 2 quadratic mls float32 False", "neo_hookean 2 quadratic flip float32 False")
 HEARD = 1e-5, 1e-12  # of the energies, which float32 sums block by block: eps times the steps of a sum of a hundred
-LIMIT = 800
+LIMIT, PARTS = 800, 4
 
 
 def on_card(labels, folder, ranks=None):
@@ -35,8 +39,9 @@ def check(found):
     assert found["energies"] <= HEARD["float64" in found["row"]], found["row"]
 
 
-def test_card_and_processor_agree_to_round_off_after_some_steps(tmp_path):
-    for row in on_card(ROWS, tmp_path):
+@pytest.mark.parametrize("part", range(PARTS))
+def test_card_and_processor_agree_to_round_off_after_some_steps(part, tmp_path):
+    for row in on_card(ROWS[part::PARTS], tmp_path):
         check(row)
 
 
@@ -45,3 +50,21 @@ def test_cards_of_two_ranks_agree_with_their_processors_with_halo_migration_and_
     for row in found:
         check(row)
         assert row["sent"] > 0, row["row"]
+
+
+def test_a_run_on_cards_leaves_what_a_run_on_processors_leaves(tmp_path):
+    """Snapshots, diagnostics and a record that says what computed."""
+    (tmp_path / "drop.toml").write_text(several_laws.corner(end=1.0).to_toml(), encoding="utf-8")
+    arguments = ["-m", "pmpm", "run", "drop.toml", "--steps", "4", "--set", "output.diagnostics_interval=1e-9"]
+    for backend in ("cpu", "cuda"):
+        folder = tmp_path / backend
+        done = launch.python(
+            [*arguments, "--backend", backend, "--out", folder], 2, LIMIT, tmp_path, NUMBA_ENABLE_CUDASIM="1"
+        )
+        assert done.status == 0, done.text
+        assert ("a simulated card" in done.text) == (backend == "cuda"), done.text
+    runs = {backend: pmpm.load(tmp_path / backend) for backend in ("cpu", "cuda")}
+    assert [runs[backend].record["report"]["backend"] for backend in runs] == ["cpu", "cuda"]
+    kinetic = [runs[backend].diagnostics["kinetic"] for backend in runs]
+    assert kinetic[0] == pytest.approx(kinetic[1], rel=1e-5)
+    assert runs["cuda"].snapshots[-1].velocity == pytest.approx(runs["cpu"].snapshots[-1].velocity, rel=1e-4, abs=1e-6)

@@ -8,7 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from pmpm.kernels.spans import FULL
+from pmpm.kernels.spans import FULL, QUADS
 from pmpm.processors.cuda import Cuda
 
 
@@ -37,7 +37,8 @@ class Plan(Cuda):
     def mark(self, marks, slack):
         """All nodes: nobody has looked where particles are."""
         super().mark(marks, slack)
-        marks[...] = FULL
+        full = (1 << self.patch.row_quads) - 1
+        marks[...] = [(full >> QUADS * word) & FULL for word in range(marks.shape[2])]
 
     def launch(self, kernel, count, *arguments):
         name = next(name for name, entry in self.on_card.entries.items() if entry is kernel)
