@@ -44,8 +44,8 @@ class Simulation:
     """A scene being run. `comm`: an mpi4py communicator, or None for this process alone. Collective in all it does.
 
     `source` fills it with particles: the scene's own bodies, or what a checkpoint holds (see `restart`). `threads`: of this
-    rank; results are the same bits for any number. Raises SceneError if the scene holds no particles or a fixed time step is
-    beyond the stable one.
+    rank; results are the same bits for any number. `backend`: cpu, or cuda for a graphics card, whose sums come in any order.
+    Raises SceneError if the scene holds no particles or a fixed time step is beyond the stable one.
     """
 
     def __init__(self, scene, comm=None, tell=None, source=None, threads=1, backend="cpu"):

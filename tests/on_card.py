@@ -15,10 +15,41 @@ import numpy as np
 import random_cuts
 
 from pmpm.parallel.comm import from_launcher
+from pmpm.scene.schema import Scene
 from pmpm.simulation import Simulation
 
 STEPS = 2  # before and after a regroup
-ROWS = {agreement.label(row): row for row in agreement.PAIRS + agreement.SINGLE + agreement.ALL}
+
+
+def push(x, X, t):
+    """A body force."""
+    return (3.0 - x[0], 2.0 * X[1] + t)
+
+
+def driven():
+    """All that drives from outside: body force, load, damping, a moving wall, friction and a region in motion."""
+    walls = {"y_min": agreement.FRICTION, "x_min": "stick", "x_max": {"type": "slip", "velocity": [-1.0, 0.0]}}
+    low, high = [0.0, 0.0], [0.5, 0.0]
+    return Scene(
+        domain={"size": [0.8, 0.8], "cell_size": 0.1, "gravity": [0.0, -9.81], "walls": walls},
+        method={"precision": "float64", "transfer": "aflip", "damping": 0.5},
+        time={"end": 1.0},
+        materials={"a": agreement.EXAMPLES["neo_hookean"], "b": agreement.EXAMPLES["fluid"]},
+        bodies=[
+            {"material": "a", "shape": {"type": "box", "min": low, "max": [0.3, 0.3]}, "velocity": [-0.1, -0.2]},
+            {"material": "b", "shape": {"type": "box", "min": high, "max": [0.8, 0.3]}, "velocity": [0.1, 0.1]},
+        ],
+        body_force=push,
+        loads=[{"shape": {"type": "box", "min": low, "max": [0.2, 0.2]}, "acceleration": [5.0, 1.0]}],
+        motions=[{"shape": {"type": "box", "min": [0.3, 0.5], "max": [0.5, 0.8]}, "velocity": [0.0, -1.0]}],
+    )
+
+
+FACTORS = agreement.FACTORS | {"material": list(agreement.MATERIALS)}
+SCENES = {
+    agreement.label(row): lambda row=row: agreement.scene(row)
+    for row in agreement.SINGLE + agreement.every_pair.full_product(FACTORS, agreement.allowed)
+} | {"driven": driven}
 
 
 def start(scene, comm, backend):
@@ -36,9 +67,8 @@ def go(simulation, edges):
     return simulation
 
 
-def apart(row, folder, comm):
-    """{what has happened: distances} of one row."""
-    scene = agreement.scene(row)
+def apart(scene, folder, comm):
+    """{what has happened: distances} of one scene."""
     simulations = {backend: start(scene, comm, backend) for backend in ("cpu", "cuda")}
     edges = random_cuts.random_edges(simulations["cpu"], np.random.default_rng(1)) if comm.size > 1 else None
     for simulation in simulations.values():
@@ -60,7 +90,7 @@ def apart(row, folder, comm):
 def main():
     comm, folder = from_launcher(), Path(sys.argv[1])
     for label in sys.argv[2:]:
-        found = apart(ROWS[label], folder, comm)
+        found = apart(SCENES[label](), folder, comm)
         if comm.rank == 0:
             print(json.dumps({"row": label, **found}), flush=True)
 

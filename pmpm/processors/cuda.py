@@ -4,8 +4,6 @@ Particles and nodes stay on the card from step to step. The simulation's populat
 them (regroups, files, measurements); the shared planes are brought to the host and back for the halo.
 """
 
-from typing import Any
-
 import numpy as np
 from numba import cuda
 
@@ -71,7 +69,8 @@ class Cuda:
 
     def take_particles(self):
         """Take the particles of the simulation, which are the newest."""
-        self.particles = [OnCard(population, self.card) for population in self.simulation.held_populations]
+        driven, populations = self.simulation.needs.driven, self.simulation.held_populations
+        self.particles = [OnCard(population, self.card, driven) for population in populations]
         self.holds_newest = False
 
     def give_particles(self):
@@ -126,8 +125,9 @@ class Cuda:
         """Forget the maxima and sums of the step before."""
         self.maxima.copy_to_device(np.zeros(MAXIMA, self.real))
         self.failure.copy_to_device(np.full(1, NO_FAILURE))
-        for p in self.particles:
-            p.works = self.card.to_device(np.zeros(max(p.blocks, 1) if self.simulation.needs.driven else 1, self.real))
+        if self.simulation.needs.driven:
+            for p in self.particles:
+                p.works.copy_to_device(np.zeros(max(p.blocks, 1), self.real))
 
     def clear(self):
         """No impulse and no mass on any node."""
@@ -288,7 +288,7 @@ class Cuda:
 class OnCard:
     """The particles of one law on the card: reals (blocks, size, 16), places, the same memory as integers, info (blocks, 5)."""
 
-    def __init__(self, population, card):
+    def __init__(self, population, card, driven):
         self.blocks = len(population.reals)
         self.lanes = LANES * self.blocks
         segment = population.block_segment
@@ -300,7 +300,9 @@ class OnCard:
         self.info = copied(np.ascontiguousarray(info), card)
         self.reals = copied(np.ascontiguousarray(population.reals), card)
         self.places = as_integers(self.reals)
-        self.works: Any = None
+        self.works = card.to_device(
+            np.zeros(max(self.blocks, 1) if driven else 1, population.reals.dtype)
+        )  # J, by block
 
     def blocks_of(self, layers):
         """(first, last + 1) blocks of a range of layers."""
