@@ -49,7 +49,7 @@ def build(needs, layouts, parameter_counts, tiled=True):
     p2g, g2p, before, divergences, measures, energies = [], [], [], [], [], []
     for law, layout, count in zip(needs.laws, layouts, parameter_counts, strict=True):
         own = scene | law_choices(law, layout, count, scalar_loops.FIELD_TUPLES, np.dtype(real))
-        own |= {"load_row": cuda_loops.ROW_TUPLES[max(count, 1)]}
+        own |= {"load_row": scalar_loops.FIELD_TUPLES[max(count, 1)]}
         target = targets.cuda(real, **own, IMPULSE=True, BY_GRADIENT=not needs.scheme.mls)
         p2g.append(target.entry(cuda_loops.p2g))
         g2p.append(target.entry(cuda_loops.g2p))

@@ -19,18 +19,12 @@ from pmpm.kernels.loops import (
     node_of_segment,
 )
 from pmpm.kernels.scalar_loops import (
-    FIELD_TUPLES,
     advance,
     along_axes,
     carried,
     cells_of,
     cells_to_metres,
     given_to_node,
-    load_1,
-    load_2,
-    load_3,
-    load_4,
-    load_12,
     load_state,
     load_vector,
     offset_of,
@@ -350,22 +344,3 @@ def impose(nodes, numbers, last, velocity):
     if i < last and nodes[numbers[i], 3] > 0.0:
         for q in range(DIMENSIONS):
             nodes[numbers[i], q] = velocity[q]
-
-
-def load_13(a, b, f, lane):
-    return load_12(a, b, f, lane) + load_1(a, b, f + 12, lane)
-
-
-def load_14(a, b, f, lane):
-    return load_12(a, b, f, lane) + load_2(a, b, f + 12, lane)
-
-
-def load_15(a, b, f, lane):
-    return load_12(a, b, f, lane) + load_3(a, b, f + 12, lane)
-
-
-def load_16(a, b, f, lane):
-    return load_12(a, b, f, lane) + load_4(a, b, f + 12, lane)
-
-
-ROW_TUPLES = FIELD_TUPLES | dict(enumerate((load_13, load_14, load_15, load_16), 13))

@@ -98,9 +98,25 @@ def load_12(a, b, f, lane):
     return load_8(a, b, f, lane) + load_4(a, b, f + 8, lane)
 
 
+def load_13(a, b, f, lane):
+    return load_12(a, b, f, lane) + load_1(a, b, f + 12, lane)
+
+
+def load_14(a, b, f, lane):
+    return load_12(a, b, f, lane) + load_2(a, b, f + 12, lane)
+
+
+def load_15(a, b, f, lane):
+    return load_12(a, b, f, lane) + load_3(a, b, f + 12, lane)
+
+
+def load_16(a, b, f, lane):
+    return load_12(a, b, f, lane) + load_4(a, b, f + 12, lane)
+
+
 # By how many there are: a loop would have to make a tuple of unknown length.
 FIELD_TUPLES = dict(enumerate((load_1, load_2, load_3, load_4, load_5, load_6, load_7, load_8, load_9, load_10, load_11,
-                               load_12), 1))  # fmt: skip
+                               load_12, load_13, load_14, load_15, load_16), 1))  # fmt: skip
 load_vector, load_matrix, load_state = load_2, load_4, load_4
 
 

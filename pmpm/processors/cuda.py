@@ -10,8 +10,10 @@ from numba import cuda
 from pmpm.kernels import build, build_cuda
 from pmpm.kernels.cuda_loops import CAUSES, FORCE, MAXIMA, STEP, THREADS
 from pmpm.kernels.places import FORMATS
+from pmpm.kernels.scalar_loops import FIELD_TUPLES
 from pmpm.parallel.halo import Halo
 from pmpm.parallel.parts import Crew, parts_of
+from pmpm.scene.errors import SceneError
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.grid import Patch
 from pmpm.state.particles import LANES
@@ -30,6 +32,11 @@ class Cuda:
     def __init__(self, simulation):
         self.simulation, self.crew, self.real = simulation, Crew(1), simulation.real
         counts = [table.shape[1] - PARAMETERS for table in simulation.tables]
+        most = max(FIELD_TUPLES)
+        if max(counts) > most:
+            raise SceneError(
+                f"scene: with backend cuda a law has at most {most} parameters, one here has {max(counts)}"
+            )
         self.kernels = build.build(simulation.needs, simulation.layouts, counts, "scalar")  # regroups, files
         self.on_card = build_cuda.build(simulation.needs, simulation.layouts, counts, self.tiled)
         self.tables = [self.card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
