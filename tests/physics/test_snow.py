@@ -97,7 +97,8 @@ def test_inside_the_limits_nothing_yields(dim):
         e = np.linalg.eigvalsh(trial)
         if law.low < e[0] and e[-1] < law.high:
             found, found_J_P = law.advance((E, J_P), G)
-            assert np.abs(found - trial).max() < 1e-15
+            # LAPACK knows the eigenvalues of a matrix near one to some eps of it; how many depends on the processor.
+            assert np.abs(found - trial).max() < 10.0 * np.finfo(float).eps
             assert found_J_P == J_P
             met += 1
     assert met > 10
