@@ -23,13 +23,14 @@ def explain(scene, ranks, backend="cpu"):
     counted = estimate.places_to_try(scene) <= estimate.MOST_COUNTED
     counts = rehearse(scene, geometry) if counted else estimate.particles(scene)
     total, ranks = counts.sum(), max(ranks, 1)
+    taken = estimate.memory(scene, needs, geometry, counts)
     lines = [
         f"title         {scene.title or '-'}",
         f"dimension     {scene.dim}-D{' plane strain' if scene.dim == 2 else ''}, {' x '.join(map(str, scene.cells))} cells "
         f"of {scene.domain.cell_size:g} m, slabs across {'xyz'[geometry.axes[0]]}",
         f"particles     {count_text(total)} in {len(scene.bodies)} bodies, {count_text(total // ranks)} per rank on "
         f"{ranks} ranks",
-        *memory_lines(estimate.memory(scene, needs, geometry, counts), ranks),
+        *memory_lines(taken, ranks),
         f"time step     {dt:.3g} s at the start{' (fixed)' if scene.time.step else f', cfl {scene.time.cfl:g}'}",
         f"cost          about {math.ceil(scene.time.end / dt)} steps, {math.ceil(scene.time.end / dt) * total:.3g} "
         "particle-steps",
@@ -44,7 +45,6 @@ def explain(scene, ranks, backend="cpu"):
         *(f"  {who:20s} {', '.join(names)}" for who, names in compiled_kernels(scene, needs, ranks).items()),
     ]
     if backend == "cuda":
-        taken = estimate.memory(scene, needs, geometry, counts)
         lines += [
             "on the cards",
             f"  {'memory':20s} about {estimate.amount((taken.particles + taken.grid) / ranks)} on each of {ranks}",

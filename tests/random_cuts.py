@@ -5,6 +5,8 @@ slab axis. A regroup sorts particles, so that when it comes changes bits; where 
 regroups at the same steps, is the reference of all sequences of cuts of a scene.
 """
 
+from unittest import mock
+
 import fast_and_scalar
 import numpy as np
 import several_laws
@@ -66,12 +68,12 @@ def bits_of_one(case, comm):
 def cut_at_random(case, seed, comm):
     """(what all ranks end with, the edges they had, particles sent to other ranks) with cuts drawn from a seed, one to three
     threads per rank and groups of particles of that many sizes in a regroup. Collective."""
-    threads = 1 + (comm.rank + seed) % 3
-    particles.GROUP = GROUPS[(comm.rank + seed // 2) % len(GROUPS)]
-    simulation, random, edges = Simulation(CASES[case](), comm, threads=threads), np.random.default_rng(seed), []
-    for regroup in regroups():
-        if regroup:
-            simulation.regroup(edges=None if random.random() < LOOKS else random_edges(simulation, random))
-            edges.append(simulation.slabs.edges)
-        simulation.step()
-    return state_bits(simulation), edges, int(comm.sum(simulation.sent).sum())
+    threads, group = 1 + (comm.rank + seed) % 3, GROUPS[(comm.rank + seed // 2) % len(GROUPS)]
+    with mock.patch.object(particles, "GROUP", group):
+        simulation, random, edges = Simulation(CASES[case](), comm, threads=threads), np.random.default_rng(seed), []
+        for regroup in regroups():
+            if regroup:
+                simulation.regroup(edges=None if random.random() < LOOKS else random_edges(simulation, random))
+                edges.append(simulation.slabs.edges)
+            simulation.step()
+        return state_bits(simulation), edges, int(comm.sum(simulation.sent).sum())

@@ -103,9 +103,8 @@ class Halo:
             first += len(pairs)
         sends = [(peer, tag, message.used) for peer, tag, message, _ in (*self.sums, *self.unsummed)]
         receives = [(peer, tag, message.bytes) for peer, tag, message, *_ in (*self.as_earlier, *self.as_later)]
-        to_others = [
-            len(sent) for peer, _, sent in sends if peer != self.comm.rank
-        ]  # not round a periodic axis to itself
+        # What goes round a periodic axis to this rank itself is no message.
+        to_others = [len(sent) for peer, _, sent in sends if peer != self.comm.rank]
         self.each_time = np.array([len(to_others), sum(to_others)])
         self.exchange = self.comm.exchange(sends, receives)
 

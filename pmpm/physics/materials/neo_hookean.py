@@ -57,4 +57,6 @@ def wave_speed_squared(F, params, density):
 def energy(F, params):
     mu, lam = params
     log_J = log(max(la.det(F), SMALLEST))
-    return 0.5 * mu * (la.trace_symmetric(la.left_cauchy_green(F)) - la.DIM) + (0.5 * lam * log_J - mu) * log_J
+    # Sum of s^2 - 1 - ln s^2 over the stretches s: never negative, but its rounding near a rotation is.
+    shear = max(la.trace_symmetric(la.left_cauchy_green(F)) - la.DIM - 2.0 * log_J, 0.0)
+    return 0.5 * mu * shear + 0.5 * lam * log_J * log_J
