@@ -3,6 +3,7 @@
 import os
 import platform
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -225,6 +226,40 @@ def law_choices(law, layout, parameter_count, tuples, real):
     }
 
 
+def phases(needs):
+    """{phase: (name of its loop, choices besides those of scene and law)} of the kernels of particles. Phases that a scene does
+    not need have no choices."""
+    whole = {"IMPULSE": True, "BY_GRADIENT": not needs.scheme.mls}
+    silent = {"IMPULSE": False, "BY_GRADIENT": False, "FORCED": False, "DRIVEN": False}
+    return {
+        "p2g": ("p2g", whole),
+        "g2p": ("g2p", whole),
+        "p2g_before": ("p2g", silent if needs.scheme.blends else None),
+        "p2g_divergence": ("p2g", silent | {"DIVERGENCE": True, "AFFINE": False} if needs.f_bar else None),
+        "measure_divergence": ("measure_divergence", {"MLS": False, "BY_INERTIA": False} if needs.f_bar else None),
+    }
+
+
+def entries_of_laws(needs, make, module, of_laws):
+    """{phase: entries, one for each law}: loops of a module for a target `make`, with these choices of each law."""
+    return {
+        phase: tuple(
+            make(**(of_law | choices)).entry(getattr(module, loop)) for of_law in of_laws if choices is not None
+        )
+        for phase, (loop, choices) in phases(needs).items()
+    }
+
+
+def entries_of_walls(needs, make, module, scene):
+    """({wall type: entry of its rule}, the same of its image)."""
+    walls, images = {}, {}
+    for name in sorted(set(needs.wall_types) & set(WALLS)):
+        wall, image, two_sided = WALLS[name]
+        target = make(**scene, wall=wall, image=image, TWO_SIDED=two_sided, BEYOND=needs.stencil.beyond)
+        walls[name], images[name] = target.entry(module.apply_wall), target.entry(module.fill_beyond_wall)
+    return walls, images
+
+
 def build(needs, layouts, parameter_counts, kind, threads=1):
     """Kernels for these needs, not compiled yet: numba compiles at the first call. Layouts and counts are per law; `kind` is
     one of LOOPS.
@@ -232,32 +267,16 @@ def build(needs, layouts, parameter_counts, kind, threads=1):
     targets.use_cache_folder()
     real = np.dtype(needs.precision).type
     module = LOOPS[kind]
-    make = targets.lanes if module is lane_loops else targets.scalar
+    make = partial(targets.lanes if module is lane_loops else targets.scalar, real)
     own = lane_choices(needs) if module is lane_loops else scalar_choices(needs)
-    scene = scene_choices(needs)
-    general = targets.scalar(real, **scene)
-    p2g, g2p, p2g_before, p2g_divergence, measure_divergence, sum_energies = [], [], [], [], [], []
-    for law, layout, count in zip(needs.laws, layouts, parameter_counts, strict=True):
-        of_law = law_choices(law, layout, count, module.FIELD_TUPLES, np.dtype(real))
-        target = make(real, **scene, **own, **of_law, IMPULSE=True, BY_GRADIENT=not needs.scheme.mls)
-        p2g.append(target.entry(module.p2g))
-        if needs.scheme.blends:
-            before = make(real, **scene, **own, **of_law, IMPULSE=False, BY_GRADIENT=False)
-            p2g_before.append(before.entry(module.p2g))
-        if needs.f_bar:
-            divergence = {"IMPULSE": False, "BY_GRADIENT": False, "DIVERGENCE": True, "AFFINE": False}
-            p2g_divergence.append(make(real, **(scene | own | of_law | divergence)).entry(module.p2g))
-            of_particles = make(real, **(scene | own | of_law | {"MLS": False, "BY_INERTIA": False}))
-            measure_divergence.append(of_particles.entry(module.measure_divergence))
-        g2p.append(target.entry(module.g2p))
-        of_law |= law_choices(law, layout, count, scalar_loops.FIELD_TUPLES, np.dtype(real))
-        sums = targets.scalar(real, **scene, **scalar_choices(needs), **of_law)
-        sum_energies.append(sums.entry(scalar_loops.sum_energies))
-    walls, images = {}, {}
-    for name in sorted(set(needs.wall_types) & set(WALLS)):
-        wall, image, two_sided = WALLS[name]
-        target = targets.scalar(real, **scene, wall=wall, image=image, TWO_SIDED=two_sided, BEYOND=needs.stencil.beyond)
-        walls[name], images[name] = target.entry(loops.apply_wall), target.entry(loops.fill_beyond_wall)
+    scene, scalar = scene_choices(needs), partial(targets.scalar, real)
+    general = scalar(**scene)
+    per_law = list(zip(needs.laws, layouts, parameter_counts, strict=True))
+    of_laws = [scene | own | law_choices(*law, module.FIELD_TUPLES, np.dtype(real)) for law in per_law]
+    to_sum = [
+        scene | scalar_choices(needs) | law_choices(*law, scalar_loops.FIELD_TUPLES, np.dtype(real)) for law in per_law
+    ]
+    walls, images = entries_of_walls(needs, scalar, loops, scene)
     shared = {name: general.entry(getattr(loops, name)) for name in (*PER_SCENE, *PER_OPTION, *PER_CUT)}
     for_places = targets.scalar(real)
     shared |= {name: for_places.entry(getattr(sorting, name)) for name in PER_PLACES}
@@ -265,16 +284,12 @@ def build(needs, layouts, parameter_counts, kind, threads=1):
     shared |= {name: for_orders.entry(getattr(sorting, name)) for name in (*SORTING, *OUT_OF_BLOCKS)}
     shared |= {name: for_orders.entry(getattr(spans, name)) for name in LAYING_OUT}
     return Kernels(
-        tuple(p2g),
-        tuple(g2p),
-        tuple(p2g_before),
-        tuple(p2g_divergence),
-        tuple(measure_divergence),
-        tuple(sum_energies),
-        shared,
-        walls,
-        images,
-        aligned(threads * lane_loops.SCRATCH, real).reshape(threads, -1),
-        aligned(threads * WIDTH, np.int32).reshape(threads, -1),
-        row_constants(needs.stencil, real),
+        **entries_of_laws(needs, make, module, of_laws),
+        sum_energies=tuple(scalar(**of_law).entry(scalar_loops.sum_energies) for of_law in to_sum),
+        shared=shared,
+        walls=walls,
+        images=images,
+        scratch=aligned(threads * lane_loops.SCRATCH, real).reshape(threads, -1),
+        first_nodes=aligned(threads * WIDTH, np.int32).reshape(threads, -1),
+        constants=row_constants(needs.stencil, real),
     )
