@@ -192,6 +192,8 @@ reads x, the state and 27 velocities and writes x, v, C and the state. Counted: 
 for 216 particles. What is read beyond the derived is the table of materials, the blocks' records and the starts of rows, which
 the card's cache holds, and fields that a kernel names twice, which the compiler reads once. `tiled`: atomics in the card's
 memory where a block of 128 threads sums in shared memory first, as runs do; the columns before are without.
+That is for particles as they are seeded, in a small cube: blocks of threads that run over the end of a long row, or have come
+into disorder, reach boxes that do not fit, and then each particle adds to the nodes itself.
 
 {counts}
 

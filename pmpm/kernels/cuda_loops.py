@@ -170,7 +170,7 @@ def p2g(
         cuda.syncthreads()
         if 4 * size <= TILE_REALS:
             for n in range(thread, size, THREADS):
-                if tile[3 * size + n] != 0.0:
+                if given_anything(tile, size, n):
                     of_plane, k = n // nodes_of_row, low_node + n % nodes_of_row
                     a, b = of_plane // middles, of_plane % middles
                     row = (low_plane + a) * rows + low_middle + b
@@ -178,6 +178,14 @@ def p2g(
                     for q in range(DIMENSIONS):
                         cuda.atomic.add(nodes, (first + k, q), tile[q * size + n])
                     cuda.atomic.add(nodes, (first + k, 3), tile[3 * size + n])
+
+
+def given_anything(tile, size, n):
+    """Whether a node of a tile has got anything: a stencil's end may give an impulse where it gives no mass."""
+    found = tile[3 * size + n] != 0.0
+    for q in range(DIMENSIONS):
+        found |= tile[q * size + n] != 0.0
+    return found
 
 
 # ---- nodes to particles ----------------------------------------------------------------------------------------------------
