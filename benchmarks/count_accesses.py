@@ -20,6 +20,7 @@ from pmpm.processors.cuda import Cuda
 
 COUNTS: Counter = Counter()
 PHASE = ["none"]
+ONE_AT_A_TIME = threading.Lock()  # the simulator's threads are threads
 WITHIN = (
     threading.local()
 )  # whether this thread is inside an atomic, which reads and writes the element that it adds to
@@ -29,7 +30,8 @@ def counted(kind, original, element):
     def access(self, *arguments):
         if getattr(WITHIN, "atomic", False):
             return original(self, *arguments)
-        COUNTS[PHASE[0], kind] += element(self, arguments)
+        with ONE_AT_A_TIME:
+            COUNTS[PHASE[0], kind] += element(self, arguments)
         WITHIN.atomic = kind.startswith("atomic")
         try:
             return original(self, *arguments)
