@@ -21,9 +21,8 @@ from pmpm.processors.cuda import Cuda
 COUNTS: Counter = Counter()
 PHASE = ["none"]
 ONE_AT_A_TIME = threading.Lock()  # the simulator's threads are threads
-WITHIN = (
-    threading.local()
-)  # whether this thread is inside an atomic, which reads and writes the element that it adds to
+# Whether this thread is inside an atomic, which reads and writes the element that it adds to.
+WITHIN = threading.local()
 
 
 def counted(kind, original, element):

@@ -25,6 +25,8 @@ from pmpm.kernels.loops import FARTHEST, SETTLED
 from pmpm.kernels.places import TRAVEL
 from pmpm.parallel import comm as communication
 from pmpm.parallel.balance import Balance, best_edges, edges_between, layer_work
+from pmpm.parallel.halo import Halo
+from pmpm.parallel.parts import parts_of
 from pmpm.parallel.regroup import migrate, partners
 from pmpm.parallel.slabs import Slabs, room
 from pmpm.particle_access import Particles
@@ -34,7 +36,7 @@ from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_wall
 from pmpm.state.assembly import Arrivals, Assembly, leaving, settle
 from pmpm.state.derived import DerivedFields
 from pmpm.state.fields import Layout
-from pmpm.state.grid import SLACK
+from pmpm.state.grid import SLACK, Patch
 from pmpm.state.particles import Cloud, Population, layer_groups
 from pmpm.timestep import FAILED, FORCE, GRADIENT, LAG, REQUEST, SPEED, WAVE, StepControl
 from pmpm.watching import STOP, Observer, Timers, next_count, spread
@@ -125,7 +127,12 @@ class Simulation:
             self.geometry.layers, self.geometry.periodic[slab_axis], stencil.reach_low, stencil.reach_high, edges
         )
         self.first_layer, self.last_layer = self.slabs.owned(self.comm.rank)
-        self.patch, self.halo = self.processor.new_patch()
+        self.patch = Patch(
+            self.geometry, self.first_layer, self.last_layer, len(self.needs.laws), self.real, self.needs.scheme.blends,
+            self.needs.f_bar, self.processor.threads,
+        )  # fmt: skip
+        self.halo = Halo(self.comm, self.slabs, self.patch, self.kernels, self.halo_sent, self.processor.ordered)
+        self.processor.take_patch()
         self.walls = patch_walls(self.scene, self.geometry, self.patch, self.real)
         self.drive.meet(self.geometry, self.patch, self.walls)
 
@@ -150,7 +157,10 @@ class Simulation:
     def share_layers(self):
         """Say which layers are summed first, and which thread does what; nodes are laid out anew before the next step."""
         work = layer_work(self.held_populations, self.balance.works, self.patch.layer_quads)
-        self.parts = self.processor.share_layers(work)
+        self.parts = parts_of(
+            work, self.needs.stencil.window, self.halo.low_shared, self.halo.high_shared, self.processor.threads
+        )
+        self.processor.take_parts()
         self.patch.stale = True
         self.processor.take_particles()
 

@@ -8,10 +8,8 @@ import numpy as np
 from pmpm.kernels import build
 from pmpm.kernels.loops import FORCES, WORKS
 from pmpm.kernels.places import FORMATS
-from pmpm.parallel.halo import Halo
-from pmpm.parallel.parts import Crew, parts_of, pieces
+from pmpm.parallel.parts import Crew, pieces
 from pmpm.state.derived import PARAMETERS
-from pmpm.state.grid import Patch
 
 EXTREMES = 4  # maxima that G2P returns: speed^2, wave speed^2, drift, |dt grad v|^2
 WORTH_SHARING = 1 << 15  # nodes: to clear fewer takes no longer than to wake a thread
@@ -20,7 +18,7 @@ WORTH_SHARING = 1 << 15  # nodes: to clear fewer takes no longer than to wake a 
 class Cpu:
     """The processor of one rank of a simulation. P2G and G2P go through `parts`, ranges (first, last + 1) of its layers."""
 
-    name = "cpu"
+    name, ordered = "cpu", True  # whether sums are those of all layers in their order
 
     def __init__(self, simulation, threads):
         self.simulation, self.crew = simulation, Crew(threads)
@@ -42,26 +40,16 @@ class Cpu:
 
     # ---- set-up ----
 
-    def new_patch(self):
-        """(Patch, Halo) for the layers that the simulation's slabs give this rank."""
-        simulation, needs = self.simulation, self.simulation.needs
-        patch = Patch(
-            simulation.geometry, simulation.first_layer, simulation.last_layer, len(needs.laws), self.real,
-            needs.scheme.blends, needs.f_bar, self.threads,
-        )  # fmt: skip
-        halo = Halo(simulation.comm, simulation.slabs, patch, self.kernels, simulation.halo_sent)
-        self.kept_by_halo = len(patch.apart)
-        self.works = np.zeros(patch.layers)  # J that P2G has put into each layer
+    def take_patch(self):
+        """Take note that the simulation has a new patch and halo."""
+        self.kept_by_halo = len(self.patch.apart)
+        self.works = np.zeros(self.patch.layers)  # J that P2G has put into each layer
         self.steps = np.zeros(self.threads)  # the largest in cells that each thread has seen
-        return patch, halo
 
-    def share_layers(self, work):
-        """The Parts of layers with this work (layers,): which are summed first, and which thread does what."""
-        window, halo, patch = self.simulation.needs.stencil.window, self.simulation.halo, self.patch
-        parts = parts_of(work, window, halo.low_shared, halo.high_shared, self.threads)
-        del patch.apart[self.kept_by_halo :]
-        self.apart = patch.keep_apart(list(parts.apart))
-        return parts
+    def take_parts(self):
+        """Take note of the parts that the layers are done in: what threads have to keep apart."""
+        del self.patch.apart[self.kept_by_halo :]
+        self.apart = self.patch.keep_apart(list(self.simulation.parts.apart))
 
     def warm_up(self):
         """Compile all kernels, or load them, by calling them on nothing. The nodes have been laid out."""

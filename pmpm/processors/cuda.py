@@ -11,11 +11,9 @@ from pmpm.kernels import build, build_cuda
 from pmpm.kernels.cuda_loops import CAUSES, FORCE, MAXIMA, STEP, THREADS
 from pmpm.kernels.places import FORMATS
 from pmpm.kernels.scalar_loops import FIELD_TUPLES
-from pmpm.parallel.halo import Halo
-from pmpm.parallel.parts import Crew, parts_of
+from pmpm.parallel.parts import Crew
 from pmpm.scene.errors import SceneError
 from pmpm.state.derived import PARAMETERS
-from pmpm.state.grid import Patch
 from pmpm.state.particles import LANES
 
 NO_FAILURE = 1 << 62
@@ -24,7 +22,7 @@ NO_FAILURE = 1 << 62
 class Cuda:
     """The graphics card of one rank of a simulation."""
 
-    name, threads = "cuda", 1
+    name, threads, ordered = "cuda", 1, False
 
     card = cuda  # what gives memory
     tiled = True  # whether P2G sums in shared memory first
@@ -41,10 +39,8 @@ class Cuda:
         self.on_card = build_cuda.build(simulation.needs, simulation.layouts, counts, self.tiled)
         self.tables = [self.card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
         self.limits, self.ends = self.card.to_device(simulation.limits), self.card.to_device(simulation.ends)
-        self.maxima, self.failure = (
-            self.card.to_device(np.zeros(MAXIMA, self.real)),
-            self.card.to_device(np.zeros(1, np.int64)),
-        )
+        self.maxima = self.card.to_device(np.zeros(MAXIMA, self.real))
+        self.failure = self.card.to_device(np.zeros(1, np.int64))
         self.rooms: dict = {}
         self.holds_newest = False  # whether the card's particles are newer than the simulation's
 
@@ -54,20 +50,11 @@ class Cuda:
 
     # ---- set-up ----
 
-    def new_patch(self):
-        """(Patch, Halo) for the layers that the simulation's slabs give this rank: on the host, for what is shared."""
-        simulation, needs = self.simulation, self.simulation.needs
-        patch = Patch(
-            simulation.geometry, simulation.first_layer, simulation.last_layer, len(needs.laws), self.real,
-            needs.scheme.blends, needs.f_bar,
-        )  # fmt: skip
-        halo = Halo(simulation.comm, simulation.slabs, patch, self.kernels, simulation.halo_sent, ordered=False)
-        return patch, halo
+    def take_patch(self):
+        """Nothing to do: nodes are taken when they are laid out."""
 
-    def share_layers(self, work):
-        """The Parts of layers with this work (layers,): which are summed first."""
-        halo = self.simulation.halo
-        return parts_of(work, self.simulation.needs.stencil.window, halo.low_shared, halo.high_shared, 1)
+    def take_parts(self):
+        """Nothing to do: nothing is kept apart."""
 
     def warm_up(self):
         """Compile what is needed, or load it."""
@@ -130,7 +117,8 @@ class Cuda:
 
     def begin(self):
         """Forget the maxima and sums of the step before."""
-        self.maxima.copy_to_device(np.zeros(MAXIMA, self.real))
+        self.found = np.zeros(MAXIMA, self.real)  # the maxima as last seen
+        self.maxima.copy_to_device(self.found)
         self.failure.copy_to_device(np.full(1, NO_FAILURE))
         if self.simulation.needs.driven:
             for p in self.particles:
@@ -171,7 +159,7 @@ class Cuda:
     @property
     def travelled(self):
         """Cells: the longest way along any axis that a particle has gone in this step."""
-        return float(self.maxima.copy_to_host()[STEP])
+        return float(self.found[STEP])
 
     def shared(self):
         """(first node, last node + 1) of the planes that each message holds the sums of."""
@@ -245,7 +233,8 @@ class Cuda:
                 failed.append((number, *divmod(place, LANES), cause))
                 self.failure.copy_to_device(np.full(1, NO_FAILURE))
         self.holds_newest = True
-        return self.maxima.copy_to_host()[:STEP].astype(np.float64), failed
+        self.found = self.maxima.copy_to_host()
+        return self.found[:STEP].astype(np.float64), failed
 
     def measure_divergence(self, parts):
         """Of the velocities on the nodes, at the particles."""
@@ -307,9 +296,8 @@ class OnCard:
         self.info = copied(np.ascontiguousarray(info), card)
         self.reals = copied(np.ascontiguousarray(population.reals), card)
         self.places = as_integers(self.reals)
-        self.works = card.to_device(
-            np.zeros(max(self.blocks, 1) if driven else 1, population.reals.dtype)
-        )  # J, by block
+        works = max(self.blocks, 1) if driven else 1  # J, by block
+        self.works = card.to_device(np.zeros(works, population.reals.dtype))
 
     def blocks_of(self, layers):
         """(first, last + 1) blocks of a range of layers."""
