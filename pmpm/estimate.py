@@ -26,6 +26,9 @@ ID_BYTES = 8
 # layers, of which more is known; where a body is displaced all its particles are rows first, that go to any rank.
 FILLING, FILLING_DISPLACED = 1.25, 6.0
 LAYER_BYTES, ROW_BYTES = 160, 40  # of a layer and of a row of the grid besides its nodes: counts, starts, marks
+# On a card: of blocks; bytes of each particle's keys and numbers in a regroup, and fields of it that are moved at a time, both
+# with an eighth to spare.
+CARD_SPARE, KEYS_ON_CARD, FIELDS_ON_CARD = 17 / 16, 29, 4.5
 SPREAD = 2.0  # as many nodes as a compact block reaches: material spreads, and has more surface
 MEMORY_LIMIT = "PMPM_MEMORY_LIMIT"
 CGROUPS = (  # limit and use of the memory of a container or a batch job
@@ -109,6 +112,13 @@ def memory(scene, needs, geometry, counts):
     cells = sum(count / body.particles_per_cell for count, body in zip(counts, scene.bodies, strict=True))
     grid = grid_bytes(needs, geometry, float(cells))
     return Memory(held, float(counts @ filling), grid, held if scene.guard.keep_copy else 0.0)
+
+
+def on_cards(needs, taken, particles):
+    """Bytes on all graphics cards together, of what `memory` says: blocks with their spare, what a regroup notes of each
+    particle (see processors.on_card), and the nodes."""
+    of_regroup = KEYS_ON_CARD + FIELDS_ON_CARD * np.dtype(needs.precision).itemsize
+    return CARD_SPARE * taken.particles + particles * of_regroup + taken.grid
 
 
 def grid_bytes(needs, geometry, cells):

@@ -45,10 +45,11 @@ def explain(scene, ranks, backend="cpu"):
         *(f"  {who:20s} {', '.join(names)}" for who, names in compiled_kernels(scene, needs, ranks).items()),
     ]
     if backend == "cuda":
+        on_each = estimate.on_cards(needs, taken, float(total)) / ranks
         lines += [
             "on the cards",
-            f"  {'memory':20s} about {estimate.amount((taken.particles + taken.grid) / ranks)} on each of {ranks}",
-            *(f"  {who:20s} {', '.join(names)}" for who, names in card_kernels(scene, needs).items()),
+            f"  {'memory':20s} about {estimate.amount(on_each)} on each of {ranks}",
+            *(f"  {who:20s} {', '.join(names)}" for who, names in card_kernels(scene, needs, ranks).items()),
         ]
     return "\n".join(lines)
 
@@ -150,8 +151,11 @@ def compiled_kernels(scene, needs, ranks):
     return {who: names for who, names in found.items() if names}
 
 
-def card_kernels(scene, needs):
-    """{law, "walls", "nodes": names of the kernels that a step calls on a card, hence compiles}; see kernels.build_cuda."""
+def card_kernels(scene, needs, ranks=1):
+    """{law, "walls", "nodes", "regroup": names of the kernels that a step or a regroup calls on a card, hence compiles}; see
+    kernels.build_cuda."""
+    from pmpm.kernels.build_cuda import SORTING
+
     blended = ["p2g_before"] if needs.scheme.blends else []
     averaged = ["p2g_divergence", "measure_divergence"] if needs.f_bar else []
     guarded = ["sum_energies"] if watches_energy(scene) else []
@@ -164,8 +168,12 @@ def card_kernels(scene, needs):
         "sum_images": any(repeats for axis, repeats in enumerate(needs.periodic) if axis != needs.slab_axis),
         "copy": needs.scheme.blends or needs.f_bar,
         "impose": bool(scene.motions),
+        "add_received": ranks > 1 or needs.periodic[needs.slab_axis],
+        "clear_reals": needs.driven or bool(guarded),
     }
-    found["nodes"] = ["mark", "fill", "divide_by_mass", *(name for name, needed in optional.items() if needed)]
+    always = ["mark", "clear", "divide_by_mass", "forget", "clear_words"]
+    found["nodes"] = [*always, *(name for name, needed in optional.items() if needed)]
+    found["regroup"] = list(SORTING)
     return {who: names for who, names in found.items() if names}
 
 

@@ -20,7 +20,7 @@ from pmpm.output.files import OutputError, on_every_rank
 from pmpm.output.layout import snapshot_attributes, topology
 from pmpm.parallel.balance import best_edges
 from pmpm.scene.errors import SceneError
-from pmpm.state.assembly import Growing
+from pmpm.state.assembly import Growing, leaving
 from pmpm.state.particles import LANES, Ordered, Population, layer_groups, segment_bases
 
 OWN = "restart"  # the group of a checkpoint that a snapshot has not
@@ -294,8 +294,7 @@ class Continuation:
         self.move_regions(simulation)
         simulation.control.resume(record.control.model_dump())
         if turned:
-            nowhere = (0,) * (simulation.comm.size + 1)
-            found = [simulation.leaving(p, nowhere, self.geometry) for p in simulation.populations]
+            found = [leaving(p, self.geometry, simulation.kernels, 0, 0) for p in simulation.populations]
             simulation.regroup(clouds=[of_law.others for of_law in found])
         else:
             simulation.share_layers()

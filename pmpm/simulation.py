@@ -33,10 +33,10 @@ from pmpm.particle_access import Particles
 from pmpm.processors import processor
 from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
-from pmpm.state.assembly import Arrivals, Assembly, leaving, settle
+from pmpm.state.assembly import Arrivals, settle
 from pmpm.state.derived import DerivedFields
 from pmpm.state.fields import Layout
-from pmpm.state.grid import SLACK, Patch
+from pmpm.state.grid import Patch
 from pmpm.state.particles import Cloud, Population, layer_groups
 from pmpm.timestep import FAILED, FORCE, GRADIENT, LAG, REQUEST, SPEED, WAVE, StepControl
 from pmpm.watching import STOP, Observer, Timers, next_count, spread
@@ -69,7 +69,6 @@ class Simulation:
         self.counts: dict = {}  # of observers with a name, from a checkpoint: (seconds, count)
         self.outputs: dict = {}  # how much there is of each output, from a checkpoint
         self.dt = 0.0  # of the step just taken; before the first, of the one to come
-        self.failed: list[tuple[int, int, int, int]] = []  # (law, block, lane, cause) in this step, first of each range
         self.failure: dict | None = None
         self.energies_ready = False  # their kernels are compiled, or loaded, when the guard first asks for them
         self.halo_sent = np.zeros(2, np.int64)  # messages and bytes
@@ -131,28 +130,12 @@ class Simulation:
             self.geometry, self.first_layer, self.last_layer, len(self.needs.laws), self.real, self.needs.scheme.blends,
             self.needs.f_bar, self.processor.threads,
         )  # fmt: skip
-        self.halo = Halo(self.comm, self.slabs, self.patch, self.kernels, self.halo_sent, self.processor.ordered)
+        self.halo = Halo(
+            self.comm, self.slabs, self.patch, self.kernels, self.halo_sent, self.processor.ordered, self.processor.host_room
+        )  # fmt: skip
         self.processor.take_patch()
         self.walls = patch_walls(self.scene, self.geometry, self.patch, self.real)
         self.drive.meet(self.geometry, self.patch, self.walls)
-
-    def settle_in(self, edges, found, arrived):
-        """Order the particles of each law in the layers that `edges` give this rank: those who stay and those who arrive."""
-        first, last = edges[self.comm.rank], edges[self.comm.rank + 1]
-        for law, layout in enumerate(self.layouts):
-            self.populations[law] = Assembly(
-                self.populations[law],
-                found[law].staying,
-                arrived[law],
-                self.geometry,
-                self.kernels,
-                first,
-                last - first,
-                len(self.scene.bodies),
-                self.pad_values(layout),
-            ).whole(self.processor.crew)
-            arrived[law] = None
-        self.held = self.rows()
 
     def share_layers(self):
         """Say which layers are summed first, and which thread does what; nodes are laid out anew before the next step."""
@@ -162,12 +145,11 @@ class Simulation:
         )
         self.processor.take_parts()
         self.patch.stale = True
-        self.processor.take_particles()
 
     def lay_out(self):
         """Take the nodes that the particles reach now."""
         mirrors = [(wall.place, wall.on) for wall in self.walls]
-        self.patch.lay_out(self.processor.mark, self.kernels, mirrors)
+        self.patch.lay_out(self.processor.mark, self.kernels, mirrors, self.processor.slack)
         for wall in self.walls:
             wall.lay_out(self.patch)
         self.drive.lay_out()
@@ -184,6 +166,7 @@ class Simulation:
     @populations.setter
     def populations(self, populations):
         self.held_populations = populations
+        self.processor.take_particles()
 
     @property
     def kernels(self):
@@ -211,8 +194,9 @@ class Simulation:
 
     def warm_up_regroup(self):
         self.populations = self.no_particles()
-        found = [self.leaving(population, self.slabs.edges) for population in self.populations]
-        self.settle_in(self.slabs.edges, found, [Arrivals(of_law.others, 0) for of_law in found])
+        nobody, _ = self.processor.take_leaving(self.slabs.edges)
+        self.processor.settle_in(self.slabs.edges, [Arrivals(cloud, 0) for cloud in nobody])
+        self.held = self.rows()
         self.share_layers()
 
     def warm_up(self):
@@ -322,35 +306,29 @@ class Simulation:
 
     def advance(self, dt):
         now, processor = clock.perf_counter(), self.processor
-        if self.patch.stale or self.patch.travelled > SLACK:
+        if self.patch.stale or self.patch.travelled > processor.slack:
             self.lay_out()
             now = self.timers.add("layout", now)
-        extremes = np.zeros(REQUEST + 1)
-        extremes[FAILED] = -math.inf
         processor.begin()
-        self.failed.clear()
         layers, planes = self.last_layer - self.first_layer, self.patch.planes
         self.drive.start(self.time)
         if self.needs.scheme.blends:
             self.keep_velocities(dt)
             now = self.timers.add("p2g before", now)
         runs = self.scatter(dt, "p2g")
-        extremes[FORCE] = processor.forces
-        if self.energy_watch is not None and self.needs.driven:
-            self.energy_watch.note_work(processor.works)
         self.control.disorder.start(self.step_count + 1, runs, self.held)
         now = clock.perf_counter()
         if self.needs.f_bar:  # averages come first: there is nothing to do meanwhile
             self.finish_halo()
             processor.update(0, planes, dt)
             self.average_divergence(dt)
-            self.gather([*self.parts.edges, *self.parts.inner], dt, extremes)
-            self.end_step(dt, extremes, now)
+            processor.g2p([*self.parts.edges, *self.parts.inner], dt)
+            self.end_step(dt, now)
             return
         low, high = self.parts.low, self.parts.high(layers)
         if self.parts.inner:
             processor.update(low, planes - high, dt)
-            self.gather(self.parts.inner, dt, extremes)
+            processor.g2p(self.parts.inner, dt)
             now = self.timers.add("g2p", now)
         if self.slabs.cuts:
             now = self.finish_halo()
@@ -358,15 +336,14 @@ class Simulation:
             waiting = [(0, low), (planes - high, planes)] if self.parts.inner else [(0, planes)]
             for first, last in waiting:
                 processor.update(first, last, dt)
-            self.gather(self.parts.edges, dt, extremes)
-        self.end_step(dt, extremes, now)
+            processor.g2p(self.parts.edges, dt)
+        self.end_step(dt, now)
 
     def finish_halo(self):
         """Wait for the shared planes and complete their sums; returns the time."""
         began = clock.perf_counter()
         self.halo.wait()
         began = self.timers.add("halo wait", began)
-        self.halo.finish()
         self.processor.take_shared()
         return self.timers.add("halo", began)
 
@@ -375,23 +352,23 @@ class Simulation:
 
         Returns the number of runs of particles with the same stencil.
         """
-        began, processor = clock.perf_counter(), self.processor
+        began, processor, parts = clock.perf_counter(), self.processor, self.parts
+        # What is asked of a card is done later: it is told all of it before anybody waits for its shared planes.
+        before, after = (parts.inner, ()) if processor.queues else ((), parts.inner)
         processor.clear()
-        runs = processor.p2g(self.parts.edges, dt, phase)
+        runs = processor.p2g(parts.edges, dt, phase)
         began = self.timers.add("p2g", began)
         processor.give_shared()
+        began = self.timers.add("halo", began)
+        runs += processor.p2g(before, dt, phase)
+        began = self.timers.add("p2g", began)
+        processor.wait_shared()
         self.halo.start()
         began = self.timers.add("halo", began)
-        runs += processor.p2g(self.parts.inner, dt, phase)
+        runs += processor.p2g(after, dt, phase)
         processor.add_apart()
         self.timers.add("p2g", began)
         return runs
-
-    def gather(self, parts, dt, extremes):
-        """Nodes to particles of some layers; maxima go into `extremes`."""
-        found, failed = self.processor.g2p(parts, dt)
-        np.maximum(extremes[:FORCE], found, out=extremes[:FORCE])
-        self.failed += failed
 
     def keep_velocities(self, dt):
         """Fill the grid without impulses and keep its velocities: what a blend takes from those after the step.
@@ -414,10 +391,14 @@ class Simulation:
         self.processor.average("divergences")
         self.processor.restore_nodes()
 
-    def end_step(self, dt, extremes, began):
+    def end_step(self, dt, began):
         """Let the next steps know what this one has found."""
-        if self.failed and self.failure is None:
-            self.failure = failure.describe(self, *min(self.failed))
+        extremes, failed = np.zeros(REQUEST + 1), self.processor.collect()
+        extremes[:FAILED], extremes[FAILED] = self.processor.extremes, -math.inf
+        if self.energy_watch is not None and self.needs.driven:
+            self.energy_watch.note_work(self.processor.works)
+        if failed and self.failure is None:
+            self.failure = failure.describe(self, *min(failed))
         if self.failure is not None:
             extremes[FAILED] = -self.failure["step"]
         extremes[REQUEST], self.request = self.request, 0
@@ -475,24 +456,18 @@ class Simulation:
             return [after]
         counts = np.zeros(self.geometry.layers, np.int64)
         first, last = before[self.comm.rank], before[self.comm.rank + 1]
-        counts[first:last] = sum(population.layer_counts for population in self.populations)
+        counts[first:last] = sum(population.layer_counts for population in self.held_populations)
         return edges_between(self.comm.sum(counts), before, after)
 
     def move(self, before, after):
         """Let every particle join the layer it lies in, when the cuts were at edges `before` and are to be at `after`."""
         slab = self.geometry.axes[0]
-        found = [self.leaving(population, after) for population in self.populations]
-        arrived, sent = migrate(
-            [of_law.others for of_law in found],
-            [of_law.layer < of_law.others.node[:, slab] for of_law in found],
-            slab,
-            after,
-            self.comm,
-            *partners(before, after, self.comm.rank, self.geometry.periodic[slab]),
-        )
-        for of_law in found:
-            of_law.others = None
-        self.settle_in(after, found, arrived)
+        near = partners(before, after, self.comm.rank, self.geometry.periodic[slab])
+        clouds, upwards = self.processor.take_leaving(after)
+        arrived, sent = migrate(clouds, upwards, slab, after, self.comm, *near)
+        del clouds, upwards
+        self.processor.settle_in(after, arrived)
+        self.held = self.rows()
         self.note_sent(sent)
 
     def note_sent(self, sent):
@@ -501,17 +476,13 @@ class Simulation:
         rows = [Cloud.row_bytes(layout.size, self.dim, self.real) for layout in self.layouts]
         self.sent_bytes += int(sent.sum(axis=0) @ np.array(rows))
 
-    def leaving(self, population, edges, geometry=None):
-        """The Leaving of a population when the cuts are at these edges."""
-        first, last = edges[self.comm.rank], edges[self.comm.rank + 1]
-        return leaving(population, geometry or self.geometry, self.kernels, first, last)
-
     def take_in(self, clouds):
         """Hold these particles of each law, which lie in layers of any rank and in no order yet, and no others."""
-        edges = self.slabs.edges
         arrived, sent = self.deliver(clouds)
         self.populations = self.no_particles()
-        self.settle_in(edges, [self.leaving(population, edges) for population in self.populations], arrived)
+        self.processor.take_leaving(self.slabs.edges)
+        self.processor.settle_in(self.slabs.edges, arrived)
+        self.held = self.rows()
         self.note_sent(sent)
 
     def deliver(self, clouds):

@@ -62,6 +62,8 @@ def on_nodes():
 
 
 ON_NODES = "linear, on nodes"
+FEW, FULL = 32, build_cuda.THREADS  # of a block of threads: the simulator takes its time with many
+ALL_THREADS = "driven", ON_NODES  # rows with as many as on a card
 SMALL_TILE = "driven, no room to sum in"  # shared memory of 400 bytes: each particle adds to the nodes itself
 FACTORS = agreement.FACTORS | {"material": list(agreement.MATERIALS)}
 SCENES = {
@@ -122,7 +124,8 @@ def apart(label, folder, comm):
 def main():
     comm, folder = from_launcher(), Path(sys.argv[1])
     for label in sys.argv[2:]:
-        with mock.patch.object(build_cuda, "TILE_BYTES", 400 if label == SMALL_TILE else build_cuda.TILE_BYTES):
+        tile = 400 if label == SMALL_TILE else build_cuda.TILE_BYTES
+        with mock.patch.multiple(build_cuda, TILE_BYTES=tile, THREADS=FULL if label in ALL_THREADS else FEW):
             found = apart(label, folder, comm)
         if comm.rank == 0:
             print(json.dumps({"row": label, **found}), flush=True)

@@ -6,16 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from pmpm.kernels import cuda_loops, scalar_loops, targets
+from pmpm.kernels import cuda_loops, cuda_sorting, scalar_loops, targets
 from pmpm.kernels.build import entries_of_laws, entries_of_walls, law_choices, scalar_choices, scene_choices
 
+THREADS = 128  # of a block of threads: eight blocks of particles
 TILE_BYTES = 24_000  # of shared memory; a block of threads may have 48 kB, with half of it more blocks run at a time
-OF_NODES = ("fill", "copy", "sum_images", "add_gravity", "damp", "divide_by_mass", "impose")
+OF_NODES = ("clear", "copy", "sum_images", "add_received", "add_gravity", "damp", "divide_by_mass", "impose")
+SORTING = (
+    "find_homes", "pack_leaving", "count_digits", "sum_tiles", "add_totals", "move_by_digit", "find_segments",
+    "describe_blocks", "gather_fields", "put_fields", "gather_ids", "put_ids",
+)  # fmt: skip
+OF_NUMBERS = ("mark", "forget", "clear_reals", "clear_words")
 
 
 @dataclass(frozen=True)
 class CudaKernels:
-    """Entry kernels: per law those of particles, `nodes` by name, walls and images by wall type."""
+    """Entry kernels: per law those of particles, `nodes` and `sorting` by name, walls and images by wall type."""
 
     p2g: tuple[Any, ...]
     g2p: tuple[Any, ...]
@@ -24,16 +30,21 @@ class CudaKernels:
     measure_divergence: tuple[Any, ...]
     sum_energies: tuple[Any, ...]
     mark: Any
+    forget: Any
+    clear_reals: Any
+    clear_words: Any
     nodes: dict[str, Any]
+    sorting: dict[str, Any]
     walls: dict[str, Any]
     images: dict[str, Any]
+    threads: int  # of a block of threads
 
     @property
     def entries(self):
         """{name: kernel}."""
         per_law = ("p2g", "g2p", "p2g_before", "p2g_divergence", "measure_divergence", "sum_energies")
         found = {f"{name} {i}": kernel for name in per_law for i, kernel in enumerate(getattr(self, name))}
-        found |= {"mark": self.mark} | self.nodes
+        found |= {name: getattr(self, name) for name in OF_NUMBERS} | self.nodes | self.sorting
         found |= {f"wall {name}": kernel for name, kernel in self.walls.items()}
         return found | {f"image {name}": kernel for name, kernel in self.images.items()}
 
@@ -45,6 +56,7 @@ def build(needs, layouts, parameter_counts, tiled=True):
     make = partial(targets.cuda, real)
     scene = scene_choices(needs) | scalar_choices(needs)
     scene |= {"TILED": tiled, "TILE_REALS": TILE_BYTES // np.dtype(real).itemsize}
+    scene |= {"THREADS": THREADS, "COUNTERS": cuda_sorting.DIGITS * THREADS}
     general, tuples = make(**scene), scalar_loops.FIELD_TUPLES
     of_laws = [
         scene | law_choices(law, layout, count, tuples, np.dtype(real)) | {"load_row": tuples[max(count, 1)]}
@@ -54,8 +66,10 @@ def build(needs, layouts, parameter_counts, tiled=True):
     return CudaKernels(
         **entries_of_laws(needs, make, cuda_loops, of_laws),
         sum_energies=tuple(make(**of_law).entry(cuda_loops.sum_energies) for of_law in of_laws),
-        mark=general.entry(cuda_loops.mark),
+        **{name: general.entry(getattr(cuda_loops, name)) for name in OF_NUMBERS},
         nodes={name: general.entry(getattr(cuda_loops, name)) for name in OF_NODES},
+        sorting={name: general.entry(getattr(cuda_sorting, name)) for name in SORTING},
         walls=walls,
         images=images,
+        threads=THREADS,
     )

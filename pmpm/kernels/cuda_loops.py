@@ -40,15 +40,15 @@ from pmpm.physics.materials import neo_hookean as law
 real = integer = word = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 NODES, MIDDLE_NODES = 3, 1
-THREADS = 128  # of a block of threads: eight blocks of particles
+THREADS = 128  # of a block of threads
 TILED, TILE_REALS, FAR = True, 6000, 1 << 30  # reals of a box in shared memory; fewer in float64
 int32 = np.int32
 MLS = BLENDS = F_BAR = FORCED = DRIVEN = False
 V_FIELD, DIVERGENCE_FIELD, STATE_FIELD = 2, 8, 8
 MASS_COLUMN, VOLUME_COLUMN, DENSITY_COLUMN = loops.MASS_COLUMN, loops.VOLUME_COLUMN, loops.DENSITY_COLUMN
 PARAMETER_COLUMN = loops.PARAMETER_COLUMN
-SPEED, WAVE, DRIFT, STRAIN, STEP, FORCE = range(6)  # of the maxima
-MAXIMA, CAUSES = 6, 4
+SPEED, WAVE, DRIFT, STRAIN, FORCE, STEP = range(6)  # of the maxima
+MAXIMA, CAUSES, NO_FAILURE = 6, 4, 1 << 62
 UNIT = 2.0**-52
 load_row = load_vector  # parameters of a table with a third axis of one
 
@@ -71,8 +71,9 @@ def reached_row(place, info, block):
     return plane, middle, info[block, 3] + centre_of(place[ROW]) + PADDING
 
 
-def mark(places, info, first_block, last_block, half, fraction, slack, marks):
-    """Mark what particles reach now or `slack` farther, see kernels.spans.mark_cells; marks are words of 32 quads."""
+def mark(places, info, first_block, last_block, half, fraction, slack, marks, rows, words):
+    """Mark what particles reach now or `slack` farther, see kernels.spans.mark_cells; marks are words of 32 quads, so many of
+    them for each of so many rows of a layer."""
     p = cuda.grid(1)
     block, lane = first_block + (p >> 4), p & 15
     if block < last_block and lane < info[block, 4]:
@@ -84,10 +85,10 @@ def mark(places, info, first_block, last_block, half, fraction, slack, marks):
             place = integer(places[block, MIDDLE, lane] + half)
             low_middle = info[block, 2] + PADDING + ((place - slack) >> fraction)
             high_middle = info[block, 2] + PADDING + ((place + slack) >> fraction)
-        last_quad = min((high + 3) >> 2, QUADS * marks.shape[2] - 1)
-        for j in range(max(low_middle, 0), min(high_middle + 1, marks.shape[1])):
+        last_quad = min((high + 3) >> 2, QUADS * words - 1)
+        for j in range(max(low_middle, 0), min(high_middle + 1, rows)):
             for q in range(max(low, 0) >> 2, last_quad + 1):
-                cuda.atomic.or_(marks, (info[block, 0], j, q >> 5), word(1 << (q & 31)))
+                cuda.atomic.or_(marks, (info[block, 0] * rows + j) * words + (q >> 5), word(1 << (q & 31)))
 
 
 # ---- particles to nodes ----------------------------------------------------------------------------------------------------
@@ -193,8 +194,9 @@ def given_anything(tile, size, n):
 
 def g2p(
     reals, places, info, first_block, last_block, table, row_start, span_ends, span_offsets, rows, nodes, nodes_before, blend,
-    nodes_divergence, limits, ends, dt, inv_dx, layer_node, maxima, failure,
+    nodes_divergence, limits, ends, dt, inv_dx, layer_node, maxima, failure, number,
 ):  # fmt: skip
+    """Nodes to particles; `number`: of the law, whose first failure is kept."""
     p = cuda.grid(1)
     block, lane = first_block + (p >> 4), p & 15
     largest = cuda.shared.array(MAXIMA, real)
@@ -231,7 +233,7 @@ def g2p(
             dt, inv_dx,
         )  # fmt: skip
         if cause != 0:
-            cuda.atomic.min(failure, 0, CAUSES * (16 * block + lane) + cause)
+            cuda.atomic.min(failure, number, CAUSES * (16 * block + lane) + cause)
         cuda.atomic.max(largest, SPEED, speed)
         cuda.atomic.max(largest, WAVE, wave)
         cuda.atomic.max(largest, DRIFT, real(far) * UNIT)
@@ -281,12 +283,20 @@ def sum_energies(reals, places, info, last_block, table, dx, layer_node, gravity
 # ---- nodes -----------------------------------------------------------------------------------------------------------------
 
 
-def fill(values, first, last, value):
-    """Of rows first .. last - 1 of four."""
-    n = first + cuda.grid(1)
+def clear(nodes, last):
+    """No impulse and no mass on nodes 0 .. last - 1."""
+    n = cuda.grid(1)
     if n < last:
         for q in range(4):
-            values[n, q] = value
+            nodes[n, q] = real(0.0)
+
+
+def add_received(nodes, received, numbers, last):
+    """Add what others have summed on nodes of these numbers; -1 is none of this patch's."""
+    i = cuda.grid(1)
+    if i < last and numbers[i] >= 0:
+        for q in range(4):
+            nodes[numbers[i], q] += received[i, q]
 
 
 def copy(source, values, last):
@@ -352,3 +362,29 @@ def impose(nodes, numbers, last, velocity):
     if i < last and nodes[numbers[i], 3] > 0.0:
         for q in range(DIMENSIONS):
             nodes[numbers[i], q] = velocity[q]
+
+
+# ---- numbers ---------------------------------------------------------------------------------------------------------------
+
+
+def forget(maxima, failure, laws):
+    """No maxima and no failure yet."""
+    if cuda.grid(1) == 0:
+        for kind in range(MAXIMA):
+            maxima[kind] = real(0.0)
+        for number in range(laws):
+            failure[number] = NO_FAILURE
+
+
+def clear_reals(values, last):
+    """Zeros, from the first value on."""
+    n = cuda.grid(1)
+    if n < last:
+        values[n] = real(0.0)
+
+
+def clear_words(values, last):
+    """The same of words."""
+    n = cuda.grid(1)
+    if n < last:
+        values[n] = word(0)

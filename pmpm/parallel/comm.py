@@ -4,6 +4,7 @@ One process alone (`Alone`) and an MPI communicator (`World`) answer the same ve
 it has. A message is addressed by peer and tag; a message to oneself is legal (a periodic axis on one rank).
 """
 
+import ctypes
 import os
 import sys
 from typing import ClassVar
@@ -23,6 +24,7 @@ class Alone:
     """One process that is the whole world: every reduction is the identity."""
 
     rank, size = 0, 1
+    reaches_cards = False  # whether messages may lie in the memory of graphics cards
 
     def exchange(self, sends, receives):
         """Ready messages that are sent again and again: `sends` and `receives` are lists of (peer, tag, contiguous array of
@@ -126,6 +128,13 @@ class World:
         self.mpi, self.communicator = MPI, communicator
         self.rank, self.size = communicator.rank, communicator.size
 
+    @property
+    def reaches_cards(self):
+        """Whether this MPI takes arrays of graphics cards: PMPM_HALO = card or host says so, else the MPI. Collective."""
+        said = os.environ.get("PMPM_HALO")
+        mine = said == "card" if said else asked_for_cards(self.mpi)
+        return all(self.gather(mine))
+
     def exchange(self, sends, receives):
         return Exchange(self, sends, receives)
 
@@ -188,6 +197,12 @@ class World:
         sys.stdout.flush()
         sys.stderr.flush()
         self.communicator.Abort(status)
+
+
+def asked_for_cards(mpi):
+    """What the MPI library answers to MPIX_Query_cuda_support (Open MPI, MPICH); False where it knows no such question."""
+    query = getattr(ctypes.CDLL(mpi.__file__), "MPIX_Query_cuda_support", None)
+    return bool(query is not None and query())
 
 
 def in_pieces(messages):

@@ -8,14 +8,20 @@ import numpy as np
 HEAD = 64  # bytes: numbers of a message begin at a multiple
 
 
+def zeros(size):
+    """So many bytes, which take no memory until they are written to."""
+    return np.zeros(size, np.uint8)
+
+
 class Message:
     """Bytes on their way: how many spans each plane has (int64), all spans (middle, first quad, last quad + 1) in int32, then
     the reals of their nodes. Room for full planes: what is not used takes no memory."""
 
-    def __init__(self, planes, rows, quads, real):
+    def __init__(self, planes, rows, quads, real, room=zeros):
         self.planes, self.itemsize = planes, np.dtype(real).itemsize
+        self.most = planes * rows * quads * 4  # nodes
         most = self.first_real(planes * rows * (quads // 2 + 1)) * self.itemsize
-        self.bytes = np.zeros(most + planes * rows * quads * 16 * self.itemsize, np.uint8)
+        self.bytes = room(most + planes * rows * quads * 16 * self.itemsize)
         self.counts = self.bytes[: 8 * planes].view(np.int64)
         self.spans = self.bytes[8 * planes : most].view(np.int32)
         self.reals = self.bytes.view(real)
@@ -33,6 +39,11 @@ class Message:
         self.used = self.bytes[: (first + reals) * self.itemsize]
         return self.reals[first : first + reals]
 
+    @property
+    def head(self):
+        """The bytes that say which nodes there are."""
+        return self.bytes[: 8 * self.planes + 12 * int(self.counts.sum())]
+
     def told(self):
         """Where the reals of what has arrived begin."""
         return self.first_real(int(self.counts.sum()))
@@ -45,7 +56,7 @@ class Halo:
     order of sums is not kept anyway (`ordered` false) both send their sums. `sent`: counts messages and bytes.
     """
 
-    def __init__(self, comm, slabs, patch, kernels, sent=None, ordered=True):
+    def __init__(self, comm, slabs, patch, kernels, sent=None, ordered=True, room=zeros):
         self.comm, self.patch, self.kernels = comm, patch, kernels
         self.sums: list[tuple] = []  # sent: (peer, tag, message, first plane)
         self.unsummed: list[tuple] = []  # sent: (peer, tag, message, pairs)
@@ -53,7 +64,8 @@ class Halo:
         self.as_later: list[tuple] = []
         self.low_shared = self.high_shared = False
         self.sent = np.zeros(2, np.int64) if sent is None else sent
-        rows, quads, real = patch.rows, patch.row_quads, patch.real
+        self.tags = 2 * len(slabs.cuts)
+        shape = patch.rows, patch.row_quads, patch.real, room
         for number, cut in enumerate(slabs.cuts):
             sums_tag, unsummed_tag = 2 * number, 2 * number + 1
             if comm.rank == cut.earlier:
@@ -62,8 +74,8 @@ class Halo:
                 planes = np.array(
                     [plane + shift for _, plane in cut.unsummed] if ordered else range(low, low + cut.planes)
                 )
-                self.sums.append((cut.later, sums_tag, Message(cut.planes, rows, quads, real), low))
-                self.as_earlier.append((cut.later, unsummed_tag, Message(len(planes), rows, quads, real), planes, None))
+                self.sums.append((cut.later, sums_tag, Message(cut.planes, *shape), low))
+                self.as_earlier.append((cut.later, unsummed_tag, Message(len(planes), *shape), planes, None))
                 self.note_shared(low, cut.planes)
             if comm.rank == cut.later:
                 low = cut.later_first - patch.first_plane
@@ -71,10 +83,10 @@ class Halo:
                 pairs = patch.keep_apart(kept if ordered else [])
                 planes = low + np.arange(cut.planes)
                 if ordered:
-                    self.unsummed.append((cut.earlier, unsummed_tag, Message(len(pairs), rows, quads, real), pairs))
+                    self.unsummed.append((cut.earlier, unsummed_tag, Message(len(pairs), *shape), pairs))
                 else:
-                    self.sums.append((cut.earlier, unsummed_tag, Message(cut.planes, rows, quads, real), low))
-                self.as_later.append((cut.earlier, sums_tag, Message(cut.planes, rows, quads, real), planes, pairs))
+                    self.sums.append((cut.earlier, unsummed_tag, Message(cut.planes, *shape), low))
+                self.as_later.append((cut.earlier, sums_tag, Message(cut.planes, *shape), planes, pairs))
                 self.note_shared(low, cut.planes)
         self.outgoing: list[tuple] = []  # (where reals go, where they are)
 
@@ -101,10 +113,24 @@ class Halo:
             kept = patch.unsummed[4 * begin : 4 * end].reshape(-1)
             self.outgoing.append((message.tell(list(map(len, spans)), np.concatenate(spans), kept.size), kept))
             first += len(pairs)
+        self.ready()
+
+    def ready(self, values=None, rooms=None):
+        """Ready the messages. With arrays of cards that the sums lie in and come into, messages hold no more than which nodes
+        there are, and the sums go from card to card."""
+        incoming = *self.as_earlier, *self.as_later
         sends = [(peer, tag, message.used) for peer, tag, message, _ in (*self.sums, *self.unsummed)]
-        receives = [(peer, tag, message.bytes) for peer, tag, message, *_ in (*self.as_earlier, *self.as_later)]
+        receives = [(peer, tag, message.bytes) for peer, tag, message, *_ in incoming]
+        sizes = [(peer, len(sent)) for peer, _, sent in sends]
+        if values is not None:
+            sends = [(peer, tag, message.head) for peer, tag, message, _ in self.sums]
+            sizes = [(peer, len(head)) for peer, _, head in sends]
+            for (peer, tag, _, _), array in zip(self.sums, values, strict=True):
+                sends.append((peer, self.tags + tag, array))
+                sizes.append((peer, array.nbytes))
+            receives += [(peer, self.tags + tag, array) for (peer, tag, *_), array in zip(incoming, rooms, strict=True)]
         # What goes round a periodic axis to this rank itself is no message.
-        to_others = [len(sent) for peer, _, sent in sends if peer != self.comm.rank]
+        to_others = [size for peer, size in sizes if peer != self.comm.rank]
         self.each_time = np.array([len(to_others), sum(to_others)])
         self.exchange = self.comm.exchange(sends, receives)
 
@@ -116,10 +142,13 @@ class Halo:
             patch.nodes, patch.unsummed, patch.placed, patch.placed_start, patch.slots, np.zeros((0, 2), np.int64)
         )
 
-    def start(self):
-        """Send the shared planes on their way."""
+    def pack(self):
+        """Write the shared planes into the messages."""
         for room, values in self.outgoing:
             room[:] = values
+
+    def start(self):
+        """Send the messages on their way."""
         self.sent += self.each_time
         self.exchange.start()
 

@@ -103,5 +103,5 @@ def of_scene(scene):
     from pmpm.explain import first_look
 
     needs, geometry, _ = first_look(scene)
-    taken = estimate.memory(scene, needs, geometry, estimate.particles(scene))
-    return taken.particles + taken.grid
+    counts = estimate.particles(scene)
+    return estimate.on_cards(needs, estimate.memory(scene, needs, geometry, counts), float(counts.sum()))

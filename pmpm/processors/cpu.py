@@ -8,23 +8,32 @@ import numpy as np
 from pmpm.kernels import build
 from pmpm.kernels.loops import FORCES, WORKS
 from pmpm.kernels.places import FORMATS
+from pmpm.parallel.halo import zeros
 from pmpm.parallel.parts import Crew, pieces
+from pmpm.state.assembly import Assembly, leaving
 from pmpm.state.derived import PARAMETERS
+from pmpm.state.grid import SLACK
 
-EXTREMES = 4  # maxima that G2P returns: speed^2, wave speed^2, drift, |dt grad v|^2
+FORCE = 4  # of the maxima: after those that G2P returns, speed^2, wave speed^2, drift, |dt grad v|^2
 WORTH_SHARING = 1 << 15  # nodes: to clear fewer takes no longer than to wake a thread
 
 
 class Cpu:
     """The processor of one rank of a simulation. P2G and G2P go through `parts`, ranges (first, last + 1) of its layers."""
 
-    name, ordered = "cpu", True  # whether sums are those of all layers in their order
+    name = "cpu"
+    ordered = True  # whether sums are those of all layers in their order
+    queues = False  # whether what is asked for is done later
+    slack = SLACK
+    host_room = staticmethod(zeros)  # for messages
 
     def __init__(self, simulation, threads):
         self.simulation, self.crew = simulation, Crew(threads)
         self.real, self.tables = simulation.real, [table.astype(simulation.real) for table in simulation.tables]
         counts = [table.shape[1] - PARAMETERS for table in self.tables]
         self.kernels = build.build(simulation.needs, simulation.layouts, counts, build.chosen_loops(), threads)
+        self.extremes = np.zeros(FORCE + 1)  # maxima of the step: those of G2P, and |b|^2 of the body force
+        self.failed: list[tuple[int, int, int, int]] = []  # (law, block, lane, cause) in this step, first of each range
 
     @property
     def threads(self):
@@ -62,6 +71,7 @@ class Cpu:
         self.p2g(nothing, 0.0, "p2g")
         self.update_planes((0, 0), 0.0)
         self.g2p(nothing, self.real(0))
+        self.begin()
         if self.simulation.slabs.cuts or len(self.apart):
             self.simulation.halo.warm_up()
         none, normal, met = self.real(0), np.zeros(needs.dim, self.real), np.zeros((0, 5), np.int64)
@@ -74,6 +84,29 @@ class Cpu:
 
     def give_particles(self):
         """See to it that the simulation's populations are up to date."""
+
+    # ---- a regroup ----
+
+    def take_leaving(self, edges):
+        """(Cloud, whether each comes before those of the layer that it goes to) of each law's particles that do not stay when
+        cuts are at these edges. `settle_in` follows."""
+        simulation = self.simulation
+        first, last = edges[simulation.comm.rank], edges[simulation.comm.rank + 1]
+        found = [leaving(p, simulation.geometry, self.kernels, first, last) for p in simulation.held_populations]
+        self.staying = [of_law.staying for of_law in found]
+        slab = simulation.geometry.axes[0]
+        return [of_law.others for of_law in found], [of_law.layer < of_law.others.node[:, slab] for of_law in found]
+
+    def settle_in(self, edges, arrived):
+        """Order the particles of each law in the layers that `edges` give this rank: those who stay and those who arrive."""
+        simulation, populations = self.simulation, self.simulation.held_populations
+        first, last = edges[simulation.comm.rank], edges[simulation.comm.rank + 1]
+        for law, layout in enumerate(simulation.layouts):
+            populations[law] = Assembly(
+                populations[law], self.staying[law], arrived[law], simulation.geometry, self.kernels, first, last - first,
+                len(simulation.scene.bodies), simulation.pad_values(layout),
+            ).whole(self.crew)  # fmt: skip
+            arrived[law] = None
 
     # ---- nodes that there are ----
 
@@ -101,6 +134,8 @@ class Cpu:
         self.kernels.scratch[:, FORCES:WORKS] = 0.0
         self.works[:] = 0.0
         self.steps[:] = 0.0
+        self.extremes[:] = 0.0
+        self.failed.clear()
 
     def clear(self):
         """No impulse and no mass on any node."""
@@ -136,20 +171,20 @@ class Cpu:
             self.patch.add_apart(self.kernels, self.apart)
 
     @property
-    def forces(self):
-        """Max |b|^2 of the body force in this step's P2G."""
-        return self.kernels.scratch[:, FORCES:WORKS].max()
-
-    @property
     def travelled(self):
         """Cells: the longest way along any axis that a particle has gone in this step."""
         return self.steps.max()
 
     def give_shared(self):
-        """See to it that the halo finds the sums of the shared planes."""
+        """Begin to write the sums of the shared planes into the halo's messages."""
+        self.simulation.halo.pack()
+
+    def wait_shared(self):
+        """See to it that they are written."""
 
     def take_shared(self):
-        """Take note that the halo has completed them."""
+        """Complete the sums of the shared planes with what has come."""
+        self.simulation.halo.finish()
 
     def update(self, first, last, dt):
         """`update_planes` by all threads: walls couple nodes of a few planes, which one thread does."""
@@ -178,16 +213,19 @@ class Cpu:
             region.impose(nodes, first, last)
 
     def g2p(self, parts, dt):
-        """Nodes to particles. Returns the maxima of what is reduced and, of each failure, (law, block, lane, cause)."""
-        extremes, failed = np.zeros(EXTREMES), []
+        """Nodes to particles."""
         for found, failures in self.crew.share(lambda part, thread: self.g2p_layers(part, thread, dt), parts):
-            np.maximum(extremes, found, out=extremes)
-            failed += failures
-        return extremes, failed
+            np.maximum(self.extremes[:FORCE], found, out=self.extremes[:FORCE])
+            self.failed += failures
+
+    def collect(self):
+        """Have `extremes`, `works` and `travelled` of this step ready. Returns, of each failure, (law, block, lane, cause)."""
+        self.extremes[FORCE] = self.kernels.scratch[:, FORCES:WORKS].max()
+        return self.failed
 
     def g2p_layers(self, layers, thread, dt):
         patch, kernels, simulation = self.patch, self.kernels, self.simulation
-        extremes, failed = np.zeros(EXTREMES), []
+        extremes, failed = np.zeros(FORCE), []
         for number, (kernel, p) in enumerate(zip(kernels.g2p, self.populations, strict=True)):
             failure = np.zeros(3, np.int64)
             *found, step = kernel(

@@ -1,28 +1,33 @@
 """What a rank does in a step, on a graphics card: the verbs of processors.cpu.
 
-Particles and nodes stay on the card from step to step. The simulation's populations follow when somebody on the host asks for
-them (regroups, files, measurements); the shared planes are brought to the host and back for the halo.
+Particles and nodes stay on the card from step to step and over regroups. The simulation's populations follow when somebody on
+the host asks for them (files, measurements). Kernels run one after another on one stream; the shared planes come and go on
+another one, while the kernels of the other layers run. The host waits for the shared planes and, once, for what the step has
+found.
 """
 
 import numpy as np
 from numba import cuda
 
 from pmpm.kernels import build, build_cuda
-from pmpm.kernels.cuda_loops import CAUSES, FORCE, MAXIMA, STEP, THREADS
+from pmpm.kernels.cuda_loops import CAUSES, FORCE, MAXIMA, NO_FAILURE, STEP
 from pmpm.kernels.places import FORMATS
 from pmpm.kernels.scalar_loops import FIELD_TUPLES
 from pmpm.parallel.parts import Crew
+from pmpm.processors.on_card import OnCard
 from pmpm.scene.errors import SceneError
 from pmpm.state.derived import PARAMETERS
+from pmpm.state.memory import Scratch
 from pmpm.state.particles import LANES
 
-NO_FAILURE = 1 << 62
+FARTHEST_NUMBER = 1 << 31  # of nodes that 32 bits can count
 
 
 class Cuda:
     """The graphics card of one rank of a simulation."""
 
-    name, threads, ordered = "cuda", 1, False
+    name, threads, ordered, queues = "cuda", 1, False, True
+    slack = 1.0  # cells; the host lays nodes out, and on a card few more of them cost less than that
 
     card = cuda  # what gives memory
     tiled = True  # whether P2G sums in shared memory first
@@ -35,18 +40,68 @@ class Cuda:
             raise SceneError(
                 f"scene: with backend cuda a law has at most {most} parameters, one here has {max(counts)}"
             )
-        self.kernels = build.build(simulation.needs, simulation.layouts, counts, "scalar")  # regroups, files
+        self.kernels = build.build(simulation.needs, simulation.layouts, counts, "scalar")  # layouts, files
         self.on_card = build_cuda.build(simulation.needs, simulation.layouts, counts, self.tiled)
+        self.stream, self.copies = self.card.stream(), self.card.stream()
+        self.summed, self.arrived = self.card.event(), self.card.event()
+        self.memory = Scratch(self.card.device_array)
+        self.direct = simulation.comm.reaches_cards
+        laws = len(simulation.needs.laws)
         self.tables = [self.card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
         self.limits, self.ends = self.card.to_device(simulation.limits), self.card.to_device(simulation.ends)
-        self.maxima = self.card.to_device(np.zeros(MAXIMA, self.real))
-        self.failure = self.card.to_device(np.zeros(1, np.int64))
-        self.rooms: dict = {}
+        self.maxima = self.card.device_array(MAXIMA, self.real)
+        self.failure = self.card.device_array(laws, np.int64)
+        self.found = self.card.pinned_array(MAXIMA, self.real)
+        self.failures = self.card.pinned_array(laws, np.int64)
+        self.particles: list[OnCard] = []
         self.holds_newest = False  # whether the card's particles are newer than the simulation's
+        self.works = 0.0
 
     @property
     def patch(self):
         return self.simulation.patch
+
+    # ---- between host and card ----
+
+    def launch(self, kernel, count, *arguments):
+        """Run a kernel for so many threads."""
+        if count > 0:
+            threads = self.on_card.threads
+            kernel[-(-count // threads), threads, self.stream](*arguments)
+
+    def send(self, here, there):
+        """Copy an array to the card."""
+        there.copy_to_device(here, stream=self.stream)
+
+    def bring(self, there, here):
+        """Copy an array from the card."""
+        there.copy_to_host(here, stream=self.stream)
+        self.stream.synchronize()
+
+    def brought(self, there):
+        """A copy of an array of the card."""
+        here = np.zeros(there.shape, there.dtype)
+        self.bring(there, here)
+        return here
+
+    def kept(self, name, values, dtype=None):
+        """An array on the card with these values, under this name; larger ones take the place of smaller ones."""
+        values = np.ascontiguousarray(values, dtype)
+        there = self.memory.array(name, (max(len(values), 1), *values.shape[1:]), values.dtype)
+        if values.size:
+            self.send(values, there)
+        return there
+
+    def counter(self):
+        """A number on the card that is zero."""
+        return self.kept("counter", np.zeros(1, np.int32))
+
+    def count_of(self, counter):
+        return int(self.brought(counter)[0])
+
+    def host_room(self, size):
+        """So many bytes of the host, which the card reads and writes without a detour."""
+        return self.card.pinned_array(max(size, 1), np.uint8)[:size]
 
     # ---- set-up ----
 
@@ -57,77 +112,143 @@ class Cuda:
         """Nothing to do: nothing is kept apart."""
 
     def warm_up(self):
-        """Compile what is needed, or load it."""
-        if self.simulation.slabs.cuts:
-            self.simulation.halo.warm_up()
+        """Nothing to do: kernels are compiled, or loaded, when they are first called."""
 
     def take_particles(self):
-        """Take the particles of the simulation, which are the newest."""
-        driven, populations = self.simulation.needs.driven, self.simulation.held_populations
-        self.particles = [OnCard(population, self.card, driven) for population in populations]
-        self.holds_newest = False
+        """Take the particles of the simulation, unless nobody has seen them since the card has changed them."""
+        populations = self.simulation.held_populations
+        if len(self.particles) != len(populations):
+            self.particles = [OnCard(self, law) for law in range(len(populations))]
+        for here, population in zip(self.particles, populations, strict=True):
+            if not (self.holds_newest and population is here.population):
+                here.take(population)
+                self.holds_newest = False
 
     def give_particles(self):
         """See to it that the simulation's populations are up to date."""
         if self.holds_newest:
-            for here, population in zip(self.particles, self.simulation.held_populations, strict=True):
-                if len(population.reals):
-                    here.reals.copy_to_host(population.reals)
+            for here in self.particles:
+                here.give()
             self.holds_newest = False
+
+    # ---- a regroup ----
+
+    def take_leaving(self, edges):
+        """(Cloud, whether each comes before those of the layer that it goes to) of each law's particles that do not stay when
+        cuts are at these edges. `settle_in` follows."""
+        rank = self.simulation.comm.rank
+        clouds = [here.take_leaving(edges[rank], edges[rank + 1]) for here in self.particles]
+        return clouds, [np.ones(len(cloud), bool) for cloud in clouds]
+
+    def settle_in(self, edges, arrived):
+        """Order the particles of each law in the layers that `edges` give this rank: those who stay and those who arrive."""
+        populations = [here.settle_in(of_law.cloud) for here, of_law in zip(self.particles, arrived, strict=True)]
+        self.simulation.held_populations = populations
+        self.holds_newest = True
 
     # ---- nodes that there are ----
 
     def mark(self, marks, slack):
         """Mark the nodes that the particles reach now or `slack` (cells) farther, see kernels.spans."""
-        form = FORMATS[np.dtype(self.real)]
-        on_card = self.card.to_device(marks)
+        form, size = FORMATS[np.dtype(self.real)], max(marks.size, 1)
+        there = self.memory.array("marks", (size,), np.uint32)
+        self.launch(self.on_card.clear_words, size, there, size)
         for p in self.particles:
             self.launch(
                 self.on_card.mark, p.lanes, p.places, p.info, 0, p.blocks, form.whole(self.simulation.geometry.stencil.round),
-                form.fraction, form.whole(slack), on_card,
+                form.fraction, form.whole(slack), there, marks.shape[1], marks.shape[2],
             )  # fmt: skip
-        marks[...] = on_card.copy_to_host()
+        if marks.size:
+            self.bring(there, marks.reshape(-1))
 
     def take_nodes(self):
         """Take note that the patch has other nodes."""
         patch, simulation = self.patch, self.simulation
-        self.row_start = self.card.to_device(patch.row_start)
-        self.span_ends = self.card.to_device(np.append(patch.spans[:, 2], 0))
-        self.span_offsets = self.card.to_device(np.append(4 * (patch.first_quads[:-1] - patch.spans[:, 1]), 0))
+        few = np.int32 if 4 * patch.quads < FARTHEST_NUMBER else np.int64
+        self.row_start = self.kept("row start", patch.row_start, np.int32)
+        self.span_ends = self.kept("span ends", patch.spans[:, 2], np.int32)
+        self.span_offsets = self.kept("span offsets", 4 * (patch.first_quads[:-1] - patch.spans[:, 1]), few)
         self.nodes = self.room("nodes")
         self.before = self.room("before") if patch.blends else self.nodes
         self.divergences = self.room("divergences") if patch.f_bar else self.nodes
         self.velocities = self.room("velocities") if patch.f_bar else self.nodes
-        self.met = [self.card.to_device(np.ascontiguousarray(wall.met)) for wall in simulation.walls]
-        self.images = [(self.card.to_device(images.low), self.card.to_device(images.high)) for images in patch.images]
+        self.met = [self.kept(("met", n), wall.met) for n, wall in enumerate(simulation.walls)]
+        self.images = [
+            (self.kept(("low", n), images.low), self.kept(("high", n), images.high))
+            for n, images in enumerate(patch.images)
+        ]
+        self.take_messages()
 
     def room(self, name):
         """(nodes, 4) reals, kept under this name; larger ones take the place of smaller ones."""
-        size = max(4 * self.patch.quads, 4)
-        if name not in self.rooms or len(self.rooms[name]) < size:
-            self.rooms[name] = self.card.to_device(np.zeros((size + size // 8, 4), self.real))
-        return self.rooms[name]
+        return self.memory.array(name, (max(4 * self.patch.quads, 4), 4), self.real)
+
+    # ---- shared planes ----
+
+    def take_messages(self):
+        """Take note of which nodes the halo sends, and where what comes will lie."""
+        halo, patch = self.simulation.halo, self.patch
+        self.outgoing = []  # (what the card sends, where in the host it goes)
+        for (_, _, message, low), (values, _) in zip(halo.sums, halo.outgoing, strict=True):
+            first, last = 4 * patch.plane_start[low], 4 * patch.plane_start[low + message.planes]
+            if first < last:
+                self.outgoing.append((self.nodes[first:last], values.reshape(-1, 4)))
+            elif self.direct:
+                self.outgoing.append((self.nodes[:0], None))
+        self.incoming = [
+            Incoming(message, planes, self.memory.array(("incoming", n), (max(message.most, 1), 4), self.real))
+            for n, (_, _, message, planes, _) in enumerate((*halo.as_earlier, *halo.as_later))
+        ]
+        if self.direct:
+            halo.ready(
+                [for_mpi(there) for there, _ in self.outgoing], [for_mpi(incoming.values) for incoming in self.incoming]
+            )
+
+    def give_shared(self):
+        """Begin to bring the sums of the shared planes to the halo's messages, behind what has been asked for so far."""
+        self.summed.record(self.stream)
+        if not self.direct:
+            self.summed.wait(self.copies)
+            for there, here in self.outgoing:
+                there.copy_to_host(here, stream=self.copies)
+
+    def wait_shared(self):
+        """See to it that they are there."""
+        if self.outgoing:
+            (self.summed if self.direct else self.copies).synchronize()
+
+    def take_shared(self):
+        """Complete the sums of the shared planes with what has come."""
+        for number, incoming in enumerate(self.incoming):
+            message = incoming.message
+            if incoming.is_new():
+                incoming.numbers = self.kept(("numbers", number), incoming.numbers_in(self.patch), np.int64)
+            if incoming.count and not self.direct:
+                first = message.told()
+                here = message.reals[first : first + 4 * incoming.count].reshape(-1, 4)
+                incoming.values[: incoming.count].copy_to_device(here, stream=self.copies)
+        if not self.direct:
+            self.arrived.record(self.copies)
+            self.arrived.wait(self.stream)
+        for incoming in self.incoming:
+            self.launch(
+                self.on_card.nodes["add_received"], incoming.count, self.nodes, incoming.values, incoming.numbers,
+                incoming.count,
+            )  # fmt: skip
 
     # ---- a step ----
 
-    def launch(self, kernel, count, *arguments):
-        """Run a kernel for so many threads."""
-        if count > 0:
-            kernel[-(-count // THREADS), THREADS](*arguments)
-
     def begin(self):
         """Forget the maxima and sums of the step before."""
-        self.found = np.zeros(MAXIMA, self.real)  # the maxima as last seen
-        self.maxima.copy_to_device(self.found)
-        self.failure.copy_to_device(np.full(1, NO_FAILURE))
+        self.launch(self.on_card.forget, 1, self.maxima, self.failure, len(self.failures))
         if self.simulation.needs.driven:
             for p in self.particles:
-                p.works.copy_to_device(np.zeros(max(p.blocks, 1), self.real))
+                self.launch(self.on_card.clear_reals, p.blocks, p.works, p.blocks)
 
     def clear(self):
         """No impulse and no mass on any node."""
         last = 4 * self.patch.quads
-        self.launch(self.on_card.nodes["fill"], last, self.nodes, 0, last, self.real(0))
+        self.launch(self.on_card.nodes["clear"], last, self.nodes, last)
 
     def p2g(self, parts, dt, phase):
         """Particles to nodes, by the kernels of a phase: p2g, p2g_before or p2g_divergence. Returns 0: runs are not counted."""
@@ -145,39 +266,6 @@ class Cuda:
 
     def add_apart(self):
         """Nothing is kept apart."""
-
-    @property
-    def forces(self):
-        """Max |b|^2 of the body force in this step's P2G."""
-        return self.maxima.copy_to_host()[FORCE] if self.simulation.needs.body_force is not None else 0.0
-
-    @property
-    def works(self):
-        """(layers,) J that P2G has put into each layer."""
-        return sum(p.by_layer(p.works.copy_to_host()) for p in self.particles)
-
-    @property
-    def travelled(self):
-        """Cells: the longest way along any axis that a particle has gone in this step."""
-        return float(self.found[STEP])
-
-    def shared(self):
-        """(first node, last node + 1) of the planes that each message holds the sums of."""
-        patch = self.patch
-        for _, _, message, low in self.simulation.halo.sums:
-            yield 4 * patch.plane_start[low], 4 * patch.plane_start[low + message.planes]
-
-    def give_shared(self):
-        """Bring the sums of the shared planes to the host, where the halo finds them."""
-        for first, last in self.shared():
-            if first < last:
-                self.patch.nodes[first:last] = self.nodes[first:last].copy_to_host()
-
-    def take_shared(self):
-        """Take the sums that the halo has completed."""
-        for first, last in self.shared():
-            if first < last:
-                self.nodes[first:last].copy_to_device(self.patch.nodes[first:last])
 
     def update(self, first, last, dt):
         """Momentum to velocity on planes first .. last - 1 of the patch, with gravity, damping, walls and regions."""
@@ -200,14 +288,12 @@ class Cuda:
         for wall, met, (begin, end) in walls:
             kernel, velocity = self.on_card.images[wall.type], tuple(wall.velocity)
             self.launch(kernel, end - begin, nodes, met, begin, end, tuple(wall.normal), velocity)
-        for region in drive.regions:
+        for at, region in enumerate(drive.regions):
             plane, number = region.nodes()
-            number = np.ascontiguousarray(number[(plane >= first) & (plane < last)])
-            velocity = tuple(region.velocity.astype(self.real))
+            number = number[(plane >= first) & (plane < last)]
             if len(number):
-                self.launch(
-                    self.on_card.nodes["impose"], len(number), nodes, self.card.to_device(number), len(number), velocity
-                )
+                there, velocity = self.kept(("region", at, first), number), tuple(region.velocity.astype(self.real))
+                self.launch(self.on_card.nodes["impose"], len(number), nodes, there, len(number), velocity)
 
     def sum_images(self, first, last):
         for (low, high), images in zip(self.images, self.patch.images, strict=True):
@@ -215,26 +301,43 @@ class Cuda:
             self.launch(self.on_card.nodes["sum_images"], end - begin, self.nodes, low, high, begin, end)
 
     def g2p(self, parts, dt):
-        """Nodes to particles. Returns the maxima of what is reduced so far, and (law, block, lane, cause) of each law's first
-        failure."""
-        simulation, failed = self.simulation, []
-        for number, (kernel, p, table) in enumerate(zip(self.on_card.g2p, self.particles, self.tables, strict=True)):
+        """Nodes to particles."""
+        simulation = self.simulation
+        for law, (kernel, p, table) in enumerate(zip(self.on_card.g2p, self.particles, self.tables, strict=True)):
             for layers in parts:
                 first, last = p.blocks_of(layers)
                 self.launch(
                     kernel, LANES * (last - first), p.reals, p.places, p.info, first, last, table, self.row_start,
                     self.span_ends, self.span_offsets, self.patch.rows, self.nodes, self.before, simulation.blend,
                     self.divergences, self.limits, self.ends, dt, simulation.inv_dx, simulation.first_layer, self.maxima,
-                    self.failure,
+                    self.failure, law,
                 )  # fmt: skip
-            found = int(self.failure.copy_to_host()[0])
+        self.holds_newest = True
+
+    def collect(self):
+        """Have `extremes`, `works` and `travelled` of this step ready. Returns (law, block, lane, cause) of each law's first
+        failure."""
+        self.maxima.copy_to_host(self.found, stream=self.stream)
+        self.failure.copy_to_host(self.failures, stream=self.stream)
+        if self.simulation.needs.driven:
+            self.works = sum(p.by_layer(self.brought(p.works)) for p in self.particles)
+        self.stream.synchronize()
+        failed = []
+        for law, found in enumerate(map(int, self.failures)):
             if found != NO_FAILURE:
                 place, cause = divmod(found, CAUSES)
-                failed.append((number, *divmod(place, LANES), cause))
-                self.failure.copy_to_device(np.full(1, NO_FAILURE))
-        self.holds_newest = True
-        self.found = self.maxima.copy_to_host()
-        return self.found[:STEP].astype(np.float64), failed
+                failed.append((law, *divmod(place, LANES), cause))
+        return failed
+
+    @property
+    def extremes(self):
+        """Maxima of the step: those of G2P, and |b|^2 of the body force."""
+        return self.found[: FORCE + 1].astype(np.float64)
+
+    @property
+    def travelled(self):
+        """Cells: the longest way along any axis that a particle has gone in this step."""
+        return float(self.found[STEP])
 
     def measure_divergence(self, parts):
         """Of the velocities on the nodes, at the particles."""
@@ -272,57 +375,45 @@ class Cuda:
         for kernel, p, table in zip(self.on_card.sum_energies, self.particles, self.tables, strict=True):
             if not layers or not p.blocks:
                 continue
-            of_blocks = self.card.to_device(np.zeros((p.blocks, 3), self.real))
+            of_blocks = self.memory.array("energies", (p.blocks * 3,), self.real)
+            self.launch(self.on_card.clear_reals, 3 * p.blocks, of_blocks, 3 * p.blocks)
+            of_blocks = of_blocks.reshape(p.blocks, 3)
             self.launch(
                 kernel, p.lanes, p.reals, p.places, p.info, p.blocks, table, simulation.dx, simulation.first_layer, gravity,
                 of_blocks,
             )  # fmt: skip
-            found += p.by_layer(of_blocks.copy_to_host())
+            found += p.by_layer(self.brought(of_blocks))
         return found
 
 
-class OnCard:
-    """The particles of one law on the card: reals (blocks, size, 16), places, the same memory as integers, info (blocks, 5)."""
+class Incoming:
+    """A message's nodes on their way into a patch: `numbers` of the patch's nodes that they belong to, -1 for none; `values`:
+    room for them; both on the card."""
 
-    def __init__(self, population, card, driven):
-        self.blocks = len(population.reals)
-        self.lanes = LANES * self.blocks
-        segment = population.block_segment
-        layer = population.segment_layer[segment] - population.first_layer
-        info = np.column_stack([layer, population.segments[segment][:, 2:5], population.block_count]).astype(np.int64)
-        self.block_layer, self.layers = layer, len(population.layer_start) - 1
-        starts = np.append(population.segments[:, 0], self.blocks)
-        self.layer_blocks = starts[population.layer_start]
-        self.info = copied(np.ascontiguousarray(info), card)
-        self.reals = copied(np.ascontiguousarray(population.reals), card)
-        self.places = as_integers(self.reals)
-        works = max(self.blocks, 1) if driven else 1  # J, by block
-        self.works = card.to_device(np.zeros(works, population.reals.dtype))
+    def __init__(self, message, planes, values):
+        self.message, self.planes, self.values = message, planes, values
+        self.head, self.count, self.numbers = b"", 0, None
 
-    def blocks_of(self, layers):
-        """(first, last + 1) blocks of a range of layers."""
-        first, last = layers
-        return int(self.layer_blocks[first]), int(self.layer_blocks[last])
+    def is_new(self):
+        """Whether the message has other nodes than the last one had."""
+        head = self.message.head.tobytes()
+        changed, self.head = head != self.head, head
+        return changed
 
-    def by_layer(self, of_blocks):
-        """(layers, ...) float64 sums of what each block has."""
-        found = np.zeros((self.layers, *of_blocks.shape[1:]))
-        if self.blocks:
-            np.add.at(found, self.block_layer, of_blocks[: self.blocks])
-        return found
+    def numbers_in(self, patch):
+        """Numbers of the nodes in a patch."""
+        counts, spans = self.message.counts, self.message.spans[: 3 * int(self.message.counts.sum())].reshape(-1, 3)
+        middle, first, last = spans.astype(np.int64).T
+        sizes = 4 * (last - first)
+        self.count = int(sizes.sum())
+        of_span = np.repeat(np.arange(len(sizes)), sizes)
+        node = 4 * first[of_span] + np.arange(self.count) - (np.cumsum(sizes) - sizes)[of_span]
+        return patch.find(np.repeat(self.planes, counts)[of_span], middle[of_span], node)
 
 
-def copied(array, card):
-    """A copy on the card; of nothing, one row that nobody reads."""
-    return card.to_device(array if len(array) else np.zeros((1, *array.shape[1:]), array.dtype))
-
-
-def as_integers(reals):
-    """The same memory as integers."""
-    integer = FORMATS[reals.dtype].integer
-    if hasattr(reals, "_ary"):  # simulated: a view would be an array of the host, which kernels are given copies of
-        return type(reals)(reals._ary.view(integer))
-    return reals.view(integer)
+def for_mpi(array):
+    """An array of the card as MPI takes it; where the card is simulated, that of the host behind it."""
+    return getattr(array, "_ary", array)
 
 
 def with_last_axis(table):

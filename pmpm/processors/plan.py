@@ -15,24 +15,47 @@ from pmpm.processors.cuda import Cuda
 class Held(np.ndarray):
     """An array in the place of one on the card."""
 
-    def copy_to_host(self, there=None):
+    def copy_to_host(self, there=None, stream=None):
         if there is None:
             return np.array(self)
         there[...] = self
         return there
 
-    def copy_to_device(self, values):
+    def copy_to_device(self, values, stream=None):
         self[...] = values
+
+
+class Nothing:
+    """A stream or an event of a card that is not there."""
+
+    def synchronize(self):
+        pass
+
+    def record(self, stream):
+        pass
+
+    def wait(self, stream):
+        pass
+
+
+class NoCard:
+    """What gives memory in the place of a card."""
+
+    stream = Nothing
+    event = Nothing
+    pinned_array = staticmethod(np.zeros)
+    to_device = staticmethod(lambda array: np.array(array).view(Held))
+    device_array = staticmethod(lambda shape, dtype: np.zeros(shape, dtype).view(Held))
 
 
 class Plan(Cuda):
     """The processor of a simulation that only notes which kernels run on which types: {name: Noted}."""
 
-    card = SimpleNamespace(to_device=lambda array: np.array(array).view(Held))
+    card = NoCard
 
     def __init__(self, simulation):
-        super().__init__(simulation)
         self.noted: dict[str, Noted] = {}
+        super().__init__(simulation)
 
     def mark(self, marks, slack):
         """All nodes: nobody has looked where particles are."""
@@ -82,4 +105,5 @@ def kernels_of(scene):
     simulation = Simulation(scene, backend="plan")
     simulation.step()
     simulation.energies()
+    simulation.regroup()
     return list(simulation.processor.noted.values())

@@ -8,7 +8,7 @@ from pmpm.kernels.alignment import aligned
 from pmpm.kernels.needs import Stencil
 from pmpm.kernels.spans import QUADS
 
-SLACK = 0.5  # cells that particles may travel along an axis before nodes are laid out anew
+SLACK = 0.5  # cells that particles may travel along an axis before nodes are laid out anew, on processors
 ROUNDING = 2.0**-10  # cells: of what they travel in steps
 WINDOW_BYTES = 1 << 20  # of scratch planes that P2G keeps at a time: about what a core's own cache holds
 
@@ -101,8 +101,8 @@ class Patch:
         self.apart += pairs
         return np.array(pairs, np.int64).reshape(-1, 2)
 
-    def lay_out(self, mark, kernels, mirrors):
-        """Take the nodes that the particles reach, now and until any has travelled SLACK cells along an axis.
+    def lay_out(self, mark, kernels, mirrors, slack=SLACK):
+        """Take the nodes that the particles reach, now and until any has travelled `slack` cells along an axis.
 
         `mark(marks, slack)` marks what they reach, see kernels.spans; mirrors: (array axis, number of the plane, row or node on
         it) of the walls. What one of a pair of images reaches the other has, too: whatever is added to either can be told to
@@ -110,7 +110,7 @@ class Patch:
         """
         geometry = self.geometry
         marks = np.zeros((self.layers, self.rows, self.words), np.uint32)
-        mark(marks, SLACK + ROUNDING)
+        mark(marks, slack + ROUNDING)
         if geometry.axes[1] >= 0:
             marks = widened(marks, geometry.stencil.nodes - 1)
         planes = np.zeros((self.planes, self.rows, self.words), np.uint32)

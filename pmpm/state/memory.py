@@ -70,16 +70,17 @@ def put_back(address):
 
 
 class Scratch:
-    """Arrays that are needed again and again, of any length: their memory is kept, by name, as long as this is."""
+    """Arrays that are needed again and again, of any length: their memory is kept, by name, as long as this is. `empty(size,
+    dtype)` makes it."""
 
-    def __init__(self):
-        self.kept = {}
+    def __init__(self, empty=np.empty):
+        self.kept, self.empty = {}, empty
 
     def array(self, name, shape, dtype):
         """Uninitialised; what was taken under this name before must not be used any more."""
         size = int(np.prod(shape, dtype=np.int64))
         if name not in self.kept or len(self.kept[name]) < size:
-            self.kept[name] = np.empty(size + size // 8, dtype)
+            self.kept[name] = self.empty(size + size // 8, dtype)
         return self.kept[name][:size].reshape(shape)
 
 

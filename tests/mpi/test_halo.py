@@ -117,6 +117,7 @@ class Summed:
         patch.nodes[:] = 0.0
         for part in self.parts.edges:
             fold(self.given, *part, patch)
+        self.halo.pack()
         self.halo.start()
         for part in reversed(self.parts.inner):
             fold(self.given, *part, patch)
@@ -194,6 +195,7 @@ def test_an_exchange_allocates_nothing():
     try:
         held, _ = tracemalloc.get_traced_memory()
         for _ in range(20):
+            summed.halo.pack()
             summed.halo.start()
             summed.halo.wait()
             summed.halo.finish()
