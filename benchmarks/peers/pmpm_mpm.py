@@ -87,9 +87,11 @@ def seconds_of_ordered_sum(simulation, times=7):
 
 
 class PmpmSteps:
-    def __init__(self, workload, precision, shape_function, own_law, shuffled, comm, threads=1):
+    def __init__(self, workload, precision, shape_function, own_law, shuffled, comm, threads=1, device="cpu"):
         self.workload, self.comm = workload, comm
-        self.simulation = pmpm.Simulation(scene(workload, precision, shape_function, own_law), comm, threads=threads)
+        self.device = device
+        of_workload = scene(workload, precision, shape_function, own_law)
+        self.simulation = pmpm.Simulation(of_workload, comm, threads=threads, backend=device)
         ids = self.simulation.particles.id
         self.ids = np.sort(ids if comm is None else np.concatenate(comm.allgather(ids)))
         self.particles = len(self.ids)
@@ -103,7 +105,7 @@ class PmpmSteps:
     def facts(self):
         held, own = bytes_held(self.simulation), self.simulation.rows()
         touched = held - bytes_of_ids(self.simulation)
-        ordered_sum = seconds_of_ordered_sum(self.simulation) if self.comm is None else None
+        ordered_sum = seconds_of_ordered_sum(self.simulation) if self.comm is None and self.device == "cpu" else None
         return {
             "version": pmpm.__version__,
             "held": held / own,
@@ -162,6 +164,7 @@ def main():
     options.add_argument("--shuffled", action="store_true", help="particles in random order at the start")
     options.add_argument("--cores", type=int, nargs="+", default=[0], help="one for each rank or thread")
     options.add_argument("--threads", type=int, default=1, help="of one rank that has all the cores")
+    options.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     given = options.parse_args()
     comm, cores = None, given.cores
     if len(cores) > given.threads:
@@ -171,7 +174,7 @@ def main():
         cores = [cores[comm.rank]]
     workload = Workload(given.name, given.cells, given.dim, given.length)
     chosen = given.precision, given.shape_function, given.own_law, given.shuffled
-    contest.serve(lambda: PmpmSteps(workload, *chosen, comm, given.threads), cores, comm)
+    contest.serve(lambda: PmpmSteps(workload, *chosen, comm, given.threads, given.device), cores, comm)
 
 
 if __name__ == "__main__":

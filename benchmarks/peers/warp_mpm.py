@@ -1,4 +1,4 @@
-"""MLS-MPM in Warp on the CPU: one launch per phase, `wp.atomic_add` on the grid. Warp uses one CPU thread."""
+"""MLS-MPM in Warp, on the CPU (one thread) or a graphics card: one launch per phase, `wp.atomic_add` on the grid."""
 
 import argparse
 import time
@@ -140,12 +140,13 @@ def kernels(workload):
 
 
 class WarpMpm:
-    def __init__(self, workload):
+    def __init__(self, workload, device):
         wp.config.quiet = True
         wp.init()
+        self.device = device
         self.workload, self.particles, self.nodes = workload, workload.particles, (workload.cells,) * 3
-        self.momentum = wp.zeros(self.nodes, dtype=wp.vec3, device="cpu")
-        self.mass = wp.zeros(self.nodes, dtype=float, device="cpu")
+        self.momentum = wp.zeros(self.nodes, dtype=wp.vec3, device=self.device)
+        self.mass = wp.zeros(self.nodes, dtype=float, device=self.device)
         self.p2g, self.update_nodes, self.g2p = kernels(workload)
         self.seconds = dict.fromkeys(("clear", "p2g", "nodes", "g2p"), 0.0)
         self.start(fast=False)
@@ -157,26 +158,31 @@ class WarpMpm:
     def start(self, fast):
         first = start(self.workload, fast)
         volume = first.v_c + (1.0 if self.workload.name == "W3" else 0.0)
-        self.x = wp.array(first.x, dtype=wp.vec3, device="cpu")
-        self.v = wp.array(first.v, dtype=wp.vec3, device="cpu")
-        self.C = wp.zeros(self.particles, dtype=wp.mat33, device="cpu")
-        self.F = wp.array(first.F.astype(np.float32), dtype=wp.mat33, device="cpu")
-        self.volume = wp.array(volume.astype(np.float32), dtype=float, device="cpu")
+        self.x = wp.array(first.x, dtype=wp.vec3, device=self.device)
+        self.v = wp.array(first.v, dtype=wp.vec3, device=self.device)
+        self.C = wp.zeros(self.particles, dtype=wp.mat33, device=self.device)
+        self.F = wp.array(first.F.astype(np.float32), dtype=wp.mat33, device=self.device)
+        self.volume = wp.array(volume.astype(np.float32), dtype=float, device=self.device)
 
     def step(self):
         clock = [time.perf_counter()]
         self.momentum.zero_()
         self.mass.zero_()
-        clock.append(time.perf_counter())
+        clock.append(self.now())
         grid = [self.momentum, self.mass]
-        wp.launch(self.p2g, self.particles, [self.x, self.v, self.C, self.F, self.volume, *grid], device="cpu")
-        clock.append(time.perf_counter())
-        wp.launch(self.update_nodes, self.nodes, grid, device="cpu")
-        clock.append(time.perf_counter())
-        wp.launch(self.g2p, self.particles, [self.x, self.v, self.C, self.momentum], device="cpu")
-        clock.append(time.perf_counter())
+        wp.launch(self.p2g, self.particles, [self.x, self.v, self.C, self.F, self.volume, *grid], device=self.device)
+        clock.append(self.now())
+        wp.launch(self.update_nodes, self.nodes, grid, device=self.device)
+        clock.append(self.now())
+        wp.launch(self.g2p, self.particles, [self.x, self.v, self.C, self.momentum], device=self.device)
+        clock.append(self.now())
         for name, taken in zip(self.seconds, np.diff(clock), strict=True):
             self.seconds[name] += float(taken)
+
+    def now(self):
+        """The time when all that has been launched is done."""
+        wp.synchronize()
+        return time.perf_counter()
 
     def phases(self):
         return self.seconds
@@ -193,8 +199,9 @@ def main():
     options.add_argument("name", help="W1, W2 or W3")
     options.add_argument("cells", type=int)
     options.add_argument("--cores", type=int, nargs=1, default=[0])
+    options.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     given = options.parse_args()
-    contest.serve(lambda: WarpMpm(Workload(given.name, given.cells)), given.cores)
+    contest.serve(lambda: WarpMpm(Workload(given.name, given.cells), given.device), given.cores)
 
 
 if __name__ == "__main__":
