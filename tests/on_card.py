@@ -89,6 +89,32 @@ def moved_onto_nodes(scene, comm, backend):
     return simulation
 
 
+def moved_alike(one, other):
+    """Whether two simulations hold the same particles to the bit, each in order of their cells, after a regroup."""
+    axes, dim = one.geometry.axes, one.dim
+    for ours, theirs in zip(one.populations, other.populations, strict=True):
+        rows = []
+        for population in (ours, theirs):
+            node, part = population.cells(axes)
+            ids = population.id[population.lanes]
+            order = np.argsort(ids)
+            rows.append((ids[order], (node + part)[order], population.rows(slice(dim, None))[order].tobytes()))
+        if not (np.array_equal(rows[0][0], rows[1][0]) and np.array_equal(rows[0][1], rows[1][1])):
+            return False
+        if rows[0][2] != rows[1][2] or not in_order(theirs, one.geometry):
+            return False
+    return True
+
+
+def in_order(population, geometry):
+    """Whether particles stand by layer, body and cell, in a domain of one tile."""
+    node, part = population.cells(geometry.axes)
+    home = node + np.floor(part + geometry.stencil.round).astype(int)
+    slab, middle, row = geometry.axes
+    columns = [home[:, row], *([home[:, middle]] if middle >= 0 else []), population.per_particle(population.block_row)]
+    return np.array_equal(np.lexsort((*columns, home[:, slab])), np.arange(len(home)))
+
+
 def go(simulation, edges):
     """Some steps, a regroup with other cuts, some steps."""
     simulation.run(steps=STEPS)
@@ -102,11 +128,16 @@ def apart(label, folder, comm):
     scene = SCENES[label]()
     if label == ON_NODES:  # one step: surfaces of linear splines turn unstable
         one, other = (moved_onto_nodes(scene, comm, backend) for backend in ("cpu", "cuda"))
-        return {"apart": {"steps": agreement.distances(one, other)}, "sent": 0, "energies": 0.0}
+        return {"apart": {"steps": agreement.distances(one, other)}, "sent": 0, "energies": 0.0, "alike": True}
     simulations = {backend: start(scene, comm, backend) for backend in ("cpu", "cuda")}
-    edges = random_cuts.random_edges(simulations["cpu"], np.random.default_rng(1)) if comm.size > 1 else None
+    edges = other_edges = None
+    if comm.size > 1:
+        edges, other_edges = (random_cuts.random_edges(simulations["cpu"], np.random.default_rng(n)) for n in (2, 3))
     for simulation in simulations.values():
-        go(simulation, edges)
+        simulation.regroup(edges=edges)
+    alike = moved_alike(*simulations.values())
+    for simulation in simulations.values():
+        go(simulation, other_edges)
     found = {"steps": agreement.distances(simulations["cpu"], simulations["cuda"])}
     sent = int(comm.sum(simulations["cuda"].sent).sum())
     energies = [comm.sum(simulation.energies().sum(axis=0)) for simulation in simulations.values()]
@@ -118,7 +149,7 @@ def apart(label, folder, comm):
             simulation.step()
         found[f"{backend} goes on as {other}"] = agreement.distances(*again)
     gap = float(np.abs(energies[0] - energies[1]).max() / np.abs(energies[0]).max())
-    return {"apart": found, "sent": sent, "energies": gap}
+    return {"apart": found, "sent": sent, "energies": gap, "alike": all(comm.gather(alike))}
 
 
 def main():

@@ -35,6 +35,7 @@ def on_card(labels, folder, ranks=None):
 def check(found):
     for after, apart in found["apart"].items():
         assert {name: far for name, far in apart.items() if not far <= agreement.BOUND} == {}, (found["row"], after)
+    assert found["alike"], found["row"]
     # It would be cheap to agree where one computes for both.
     assert found["apart"]["steps"]["v"] > 0.0, found["row"]
     assert found["energies"] <= HEARD["float32" not in found["row"]], found["row"]

@@ -42,7 +42,7 @@ DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 NODES, MIDDLE_NODES = 3, 1
 THREADS = 128  # of a block of threads
 TILED, TILE_REALS, FAR = True, 6000, 1 << 30  # reals of a box in shared memory; fewer in float64
-int32 = np.int32
+int32, int64 = np.int32, np.int64
 MLS = BLENDS = F_BAR = FORCED = DRIVEN = False
 V_FIELD, DIVERGENCE_FIELD, STATE_FIELD = 2, 8, 8
 MASS_COLUMN, VOLUME_COLUMN, DENSITY_COLUMN = loops.MASS_COLUMN, loops.VOLUME_COLUMN, loops.DENSITY_COLUMN
@@ -62,6 +62,11 @@ def first_of_row(row_start, span_ends, span_offsets, row, node):
     while span_ends[t] <= node >> 2:
         t += 1
     return span_offsets[t]
+
+
+def base_node(info, block, layer_node):
+    """The node that the places of a block count from, by physical axis."""
+    return node_of_segment(int64(layer_node + info[block, 0]), int64(info[block, 2]), int64(info[block, 3]))
 
 
 def reached_row(place, info, block):
@@ -133,7 +138,7 @@ def p2g(
         place = load_vector(places, block, 0, lane)
         g = along_axes(offset_of, place)
         w, dw = along_axes(weights, g), along_axes(slopes, g)
-        base = node_of_segment(layer_node + info[block, 0], info[block, 2], info[block, 3])
+        base = base_node(info, block, layer_node)
         counted, momentum, M, tau, force, work = carried(
             reals, block, lane, place, mass, volume0, params, base, dt, dx, inv_dx, time, load_factor
         )
@@ -206,7 +211,7 @@ def g2p(
     if block < last_block and lane < info[block, 4]:
         row = info[block, 1]
         density, params = table[row, DENSITY_COLUMN, 0], load_row(table, row, PARAMETER_COLUMN, 0)
-        base = node_of_segment(layer_node + info[block, 0], info[block, 2], info[block, 3])
+        base = base_node(info, block, layer_node)
         place = load_vector(places, block, 0, lane)
         g = along_axes(offset_of, place)
         w, dw = along_axes(weights, g), along_axes(slopes, g)
@@ -272,7 +277,7 @@ def sum_energies(reals, places, info, last_block, table, dx, layer_node, gravity
         row = info[block, 1]
         mass, volume0 = table[row, MASS_COLUMN, 0], table[row, VOLUME_COLUMN, 0]
         params = load_row(table, row, PARAMETER_COLUMN, 0)
-        base = node_of_segment(layer_node + info[block, 0], info[block, 2], info[block, 3])
+        base = base_node(info, block, layer_node)
         v = load_vector(reals, block, V_FIELD, lane)
         x = cells_to_metres(along_axes(cells_of, load_vector(places, block, 0, lane)), base, dx)
         cuda.atomic.add(energies, (block, 0), 0.5 * mass * la.dot(v, v))

@@ -13,7 +13,7 @@ from numba import cuda
 from pmpm.kernels.places import REACH
 from pmpm.kernels.sorting import settled
 
-integer, int32 = float, np.int32
+integer, int32, int64 = float, np.int32, np.int64
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 HALF, FRACTION = 0, 52
 THREADS = 128  # of a block of threads
@@ -53,11 +53,8 @@ def find_homes(
     if block < blocks:
         order[p], keys[p] = p, nobody
         if lane < info[block, 4]:
-            base_layer, base_middle, base_row = (
-                int(old_layer + info[block, 0]),
-                int(info[block, 2]),
-                int(info[block, 3]),
-            )
+            base_layer = int64(old_layer + info[block, 0])
+            base_middle, base_row = int64(info[block, 2]), int64(info[block, 3])
             layer, place = settled(places[block, SLAB, lane], base_layer, HALF, FRACTION, nodes[0], periodic[0])
             places[block, SLAB, lane] = place
             middle = 0
@@ -204,9 +201,9 @@ def gather_fields(places, rows, old_blocks, order, keys, info, blocks, nodes, fi
             if f >= DIMENSIONS and lane >= here:
                 value = rest[f]
             if f == MIDDLE:
-                value += integer((middle - info[block, 2]) << FRACTION)
+                value += integer((middle - int64(info[block, 2])) << FRACTION)
             if f == ROW:
-                value += integer((row - info[block, 3]) << FRACTION)
+                value += integer((row - int64(info[block, 3])) << FRACTION)
             taken[f - first_field, p] = value
 
 

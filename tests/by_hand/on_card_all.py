@@ -35,7 +35,10 @@ def one(folder, row):
     if done.status or not found:
         return f"{label:60s} {ranks} failed: {done.text.strip().splitlines()[-1:]}", False
     far = max(distance for apart in found[0]["apart"].values() for distance in apart.values())
-    return f"{label:60s} {ranks} {far:8.1f} eps, {found[0]['sent']} particles crossed cuts", far <= agreement.BOUND
+    return (
+        f"{label:60s} {ranks} {far:8.1f} eps, {found[0]['sent']} particles crossed cuts",
+        far <= agreement.BOUND and found[0]["alike"],
+    )
 
 
 def main():
