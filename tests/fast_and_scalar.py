@@ -98,16 +98,21 @@ def label(row):
     return " ".join(map(str, row.values()))
 
 
-def scene(row):
-    """Two bodies, three if of several laws, that hit the walls of opposite corners or cross the ends of periodic axes."""
+def scene(row, in_space=(6, 8, 5)):
+    """Two bodies, three if of several laws, that hit the walls of opposite corners or cross the ends of periodic axes.
+    in_space: particles per cell of each in 3-D."""
     dim, (cells, periodic) = row["dim"], arrangement(row)
     long = np.arange(dim) == np.argmax(cells)
     size, velocity = np.array(cells), np.array([0.25, 0.2, 0.15])[:dim]
     middle = np.where(long, 7.5, 3.0)
     shapes = (
-        ({"type": "box", "min": [0.5] * dim, "max": np.where(long, 5.5, 4.5)}, -velocity, 5 if dim == 2 else 6),
-        ({"type": "sphere", "center": size - 2.6, "radius": 2.2}, velocity, 4 if dim == 2 else 8),
-        ({"type": "box", "min": middle - 2.0, "max": middle + 2.0}, -1.5 * velocity, 3 if dim == 2 else 5),
+        (
+            {"type": "box", "min": [0.5] * dim, "max": np.where(long, 5.5, 4.5)},
+            -velocity,
+            5 if dim == 2 else in_space[0],
+        ),
+        ({"type": "sphere", "center": size - 2.6, "radius": 2.2}, velocity, 4 if dim == 2 else in_space[1]),
+        ({"type": "box", "min": middle - 2.0, "max": middle + 2.0}, -1.5 * velocity, 3 if dim == 2 else in_space[2]),
     )
     laws = MATERIALS[row["material"]]
     # Bodies of one law differ in what they weigh.

@@ -62,12 +62,13 @@ def on_nodes():
 
 
 ON_NODES = "linear, on nodes"
+IN_SPACE = 2, 1, 2  # particles per cell of bodies in 3-D: 200 in all
 FEW, FULL = 32, build_cuda.THREADS  # of a block of threads: the simulator takes its time with many
 ALL_THREADS = "driven", ON_NODES  # rows with as many as on a card
 SMALL_TILE = "driven, no room to sum in"  # shared memory of 400 bytes: each particle adds to the nodes itself
 FACTORS = agreement.FACTORS | {"material": list(agreement.MATERIALS)}
 SCENES = {
-    agreement.label(row): lambda row=row: agreement.scene(row)
+    agreement.label(row): lambda row=row: agreement.scene(row, IN_SPACE)
     for row in agreement.SINGLE + agreement.every_pair.full_product(FACTORS, agreement.allowed)
 } | {"driven": driven, SMALL_TILE: driven, ON_NODES: on_nodes}
 
