@@ -61,6 +61,24 @@ def on_nodes():
     )
 
 
+def wide():
+    """Home nodes of two tiles of a layer (kernels.cuda_sorting), and a body that flies across where they meet."""
+    domain = {"size": [30.0, 30.0], "cell_size": 0.1, "gravity": [0.0, 0.0]}
+    return Scene(
+        domain=domain,
+        time={"end": 1.0},
+        materials={"a": agreement.EXAMPLES["neo_hookean"]},
+        bodies=[
+            {
+                "material": "a",
+                "shape": {"type": "box", "min": [1.0, low], "max": [1.3, low + 0.4]},
+                "velocity": [0.1, 0.1],
+            }
+            for low in (2.0, 21.8)
+        ],
+    )
+
+
 ON_NODES = "linear, on nodes"
 IN_SPACE = 2, 1, 2  # particles per cell of bodies in 3-D: 200 in all
 FEW, FULL = 32, build_cuda.THREADS  # of a block of threads: the simulator takes its time with many
@@ -70,7 +88,7 @@ FACTORS = agreement.FACTORS | {"material": list(agreement.MATERIALS)}
 SCENES = {
     agreement.label(row): lambda row=row: agreement.scene(row, IN_SPACE)
     for row in agreement.SINGLE + agreement.every_pair.full_product(FACTORS, agreement.allowed)
-} | {"driven": driven, SMALL_TILE: driven, ON_NODES: on_nodes}
+} | {"driven": driven, "two tiles": wide, SMALL_TILE: driven, ON_NODES: on_nodes}
 
 
 def start(scene, comm, backend):

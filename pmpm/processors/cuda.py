@@ -103,6 +103,12 @@ class Cuda:
         """So many bytes of the host, which the card reads and writes without a detour."""
         return self.card.pinned_array(max(size, 1), np.uint8)[:size]
 
+    @property
+    def nbytes(self):
+        """Bytes that this rank holds on the card."""
+        held = [*self.memory.kept.values(), *(array for p in self.particles for array in (p.reals, p.id, p.info))]
+        return sum(array.nbytes for array in held)
+
     # ---- set-up ----
 
     def take_patch(self):
