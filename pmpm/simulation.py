@@ -664,6 +664,7 @@ class Simulation:
             "particles": int(self.comm.sum(np.array([self.rows()]))[0]),
             "ranks": self.comm.size,
             "backend": self.processor.name,
+            "halo_from": "card" if self.processor.direct else "host",
             "threads": self.processor.threads,
             "edges": list(self.slabs.edges),
             "halo": [

@@ -168,7 +168,8 @@ def apart(label, folder, comm):
             simulation.step()
         found[f"{backend} goes on as {other}"] = agreement.distances(*again)
     gap = float(np.abs(energies[0] - energies[1]).max() / np.abs(energies[0]).max())
-    return {"apart": found, "sent": sent, "energies": gap, "alike": all(comm.gather(alike))}
+    direct = simulations["cuda"].processor.direct
+    return {"apart": found, "sent": sent, "energies": gap, "alike": all(comm.gather(alike)), "direct": direct}
 
 
 def main():

@@ -20,12 +20,12 @@ HEARD = 1e-5, 1e-12  # of the energies, which float32 sums block by block: eps t
 LIMIT, PARTS = 800, 4
 
 
-def on_card(labels, folder, ranks=None):
+def on_card(labels, folder, ranks=None, **environment):
     """What tests/on_card.py has found, by row."""
     program = (
         ["-m", "mpi4py", launch.ROOT / "tests" / "on_card.py"] if ranks else [launch.ROOT / "tests" / "on_card.py"]
     )
-    done = launch.python([*program, folder, *labels], ranks, LIMIT, folder, NUMBA_ENABLE_CUDASIM="1")
+    done = launch.python([*program, folder, *labels], ranks, LIMIT, folder, NUMBA_ENABLE_CUDASIM="1", **environment)
     assert done.status == 0, done.text
     found = [json.loads(line) for line in done.text.splitlines() if line.startswith("{")]
     assert [row["row"] for row in found] == list(labels), done.text
@@ -47,11 +47,40 @@ def test_card_and_processor_agree_to_round_off_after_some_steps(part, tmp_path):
         check(row)
 
 
-def test_cards_of_two_ranks_agree_with_their_processors_with_halo_migration_and_other_cuts(tmp_path):
-    found = on_card(ON_TWO_RANKS, tmp_path, ranks=2)
-    for row in found:
-        check(row)
-        assert row["sent"] > 0, row["row"]
+@pytest.mark.parametrize(("row", "halo"), list(zip(ON_TWO_RANKS, ("host", "card"), strict=True)))
+def test_cards_of_two_ranks_agree_with_their_processors_with_halo_migration_and_other_cuts(row, halo, tmp_path):
+    """Sums by way of the host, and straight from one card's arrays to the other's, as an MPI that knows cards sends them."""
+    (found,) = on_card([row], tmp_path, ranks=2, PMPM_HALO=halo)
+    check(found)
+    assert found["sent"] > 0
+    assert found["direct"] == (halo == "card")
+
+
+MEMORY = """
+import pmpm
+from pmpm.kernels import build_cuda
+from pmpm.processors import cards
+
+build_cuda.THREADS = 32
+scene = pmpm.Scene(
+    domain={"size": [4.0] * 3, "cell_size": 0.1}, method={"precision": "float32"}, time={"end": 1.0},
+    materials={"m": {"model": "neo_hookean", "density": 1e3, "youngs_modulus": 1e5, "poisson_ratio": 0.3}},
+    bodies=[{"material": "m", "shape": {"type": "box", "min": [0.5] * 3, "max": [1.3] * 3}}],
+)
+simulation = pmpm.Simulation(scene, backend="cuda")
+simulation.regroup()
+simulation.lay_out()
+print(simulation.rows(), simulation.processor.nbytes, int(cards.of_scene(scene)))
+"""
+
+
+def test_a_card_holds_what_was_estimated_before_it_was_asked(tmp_path):
+    """The estimate leaves room for nodes of material that spreads."""
+    done = launch.python(["-c", MEMORY], None, LIMIT, tmp_path, NUMBA_ENABLE_CUDASIM="1")
+    assert done.status == 0, done.text
+    particles, held, estimated = map(int, done.text.split())
+    assert particles == 4096
+    assert 0.6 * estimated < held < estimated
 
 
 def test_a_run_on_cards_leaves_what_a_run_on_processors_leaves(tmp_path):

@@ -38,7 +38,10 @@ def take(comm):
     warning = f"warning: {len(cards)} ranks share {len(cards) - shared} cards: give each its own" if shared else None
     names = sorted({card["name"] for card in cards})
     free = min(card["free"] for card in cards)
-    return Cards(f"{len(cards)} of {', '.join(names)}, {estimate.amount(free)} free on each", free, warning)
+    text = f"{len(cards)} of {', '.join(names)}, {estimate.amount(free)} free on each"
+    if comm.size > 1:
+        text += f"; shared planes go {'from card to card' if comm.reaches_cards else 'by way of the host'}"
+    return Cards(text, free, warning)
 
 
 def trouble():

@@ -24,6 +24,7 @@ class Cpu:
     name = "cpu"
     ordered = True  # whether sums are those of all layers in their order
     queues = False  # whether what is asked for is done later
+    direct = False  # whether messages lie in the memory of graphics cards
     slack = SLACK
     host_room = staticmethod(zeros)  # for messages
 
