@@ -15,6 +15,7 @@ import fast_and_scalar as agreement
 import numpy as np
 import random_cuts
 
+from pmpm.failure import NumericalFailure
 from pmpm.kernels import build_cuda
 from pmpm.parallel.comm import from_launcher
 from pmpm.scene.schema import Scene
@@ -79,6 +80,7 @@ def wide():
     )
 
 
+FAILING = "driven, failing"
 ON_NODES = "linear, on nodes"
 IN_SPACE = 2, 1, 2  # particles per cell of bodies in 3-D: 200 in all
 FEW, FULL = 32, build_cuda.THREADS  # of a block of threads: the simulator takes its time with many
@@ -88,7 +90,7 @@ FACTORS = agreement.FACTORS | {"material": list(agreement.MATERIALS)}
 SCENES = {
     agreement.label(row): lambda row=row: agreement.scene(row, IN_SPACE)
     for row in agreement.SINGLE + agreement.every_pair.full_product(FACTORS, agreement.allowed)
-} | {"driven": driven, "two tiles": wide, SMALL_TILE: driven, ON_NODES: on_nodes}
+} | {"driven": driven, "two tiles": wide, SMALL_TILE: driven, FAILING: driven, ON_NODES: on_nodes}
 
 
 def start(scene, comm, backend):
@@ -134,6 +136,19 @@ def in_order(population, geometry):
     return np.array_equal(np.lexsort((*columns, home[:, slab])), np.arange(len(home)))
 
 
+def failing(scene, comm, backend):
+    """What is said when some particles have been turned inside out."""
+    simulation = Simulation(scene, comm, backend=backend)
+    particles, F = simulation.particles, simulation.particles.F
+    F[np.isin(particles.id, (7, 20, 21))] = np.diag([-1.0, 1.0])
+    particles.F = F
+    try:
+        simulation.run(steps=5)
+    except NumericalFailure as failure:
+        return str(failure)
+    return "nothing"
+
+
 def go(simulation, edges):
     """Some steps, a regroup with other cuts, some steps."""
     simulation.run(steps=STEPS)
@@ -145,6 +160,9 @@ def go(simulation, edges):
 def apart(label, folder, comm):
     """{what has happened: distances} of one scene."""
     scene = SCENES[label]()
+    if label == FAILING:
+        one, other = (failing(scene, comm, backend) for backend in ("cpu", "cuda"))
+        return {"failures": [one, other]}
     if label == ON_NODES:  # one step: surfaces of linear splines turn unstable
         one, other = (moved_onto_nodes(scene, comm, backend) for backend in ("cpu", "cuda"))
         return {"apart": {"steps": agreement.distances(one, other)}, "sent": 0, "energies": 0.0, "alike": True}

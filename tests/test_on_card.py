@@ -56,6 +56,13 @@ def test_cards_of_two_ranks_agree_with_their_processors_with_halo_migration_and_
     assert found["direct"] == (halo == "card")
 
 
+def test_a_failure_on_a_card_is_told_as_on_the_processor(tmp_path):
+    (found,) = on_card(["driven, failing"], tmp_path)
+    one, other = found["failures"]
+    assert "its state is no longer valid" in one
+    assert other.split(" (velocity")[0] == one.split(" (velocity")[0]
+
+
 MEMORY = """
 import pmpm
 from pmpm.kernels import build_cuda
