@@ -18,6 +18,7 @@ import random_cuts
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build_cuda
 from pmpm.parallel.comm import from_launcher
+from pmpm.processors import cards
 from pmpm.scene.schema import Scene
 from pmpm.simulation import Simulation
 
@@ -80,17 +81,29 @@ def wide():
     )
 
 
+def many():
+    """More particles than one tile of the sort holds counts of."""
+    return Scene(
+        domain={"size": [4.0] * 3, "cell_size": 0.1},
+        method={"precision": "float32"},
+        time={"end": 1.0},
+        materials={"m": agreement.EXAMPLES["neo_hookean"]},
+        bodies=[{"material": "m", "shape": {"type": "box", "min": [0.5] * 3, "max": [1.5] * 3}}],
+    )
+
+
+MANY = "many"
 FAILING = "driven, failing"
 ON_NODES = "linear, on nodes"
 IN_SPACE = 2, 1, 2  # particles per cell of bodies in 3-D: 200 in all
-FEW, FULL = 32, build_cuda.THREADS  # of a block of threads: the simulator takes its time with many
+FEWEST, FEW, FULL = 16, 32, build_cuda.THREADS  # of a block of threads: the simulator takes its time with many
 ALL_THREADS = "driven", ON_NODES  # rows with as many as on a card
 SMALL_TILE = "driven, no room to sum in"  # shared memory of 400 bytes: each particle adds to the nodes itself
 FACTORS = agreement.FACTORS | {"material": list(agreement.MATERIALS)}
 SCENES = {
     agreement.label(row): lambda row=row: agreement.scene(row, IN_SPACE)
     for row in agreement.SINGLE + agreement.every_pair.full_product(FACTORS, agreement.allowed)
-} | {"driven": driven, "two tiles": wide, SMALL_TILE: driven, FAILING: driven, ON_NODES: on_nodes}
+} | {"driven": driven, "two tiles": wide, SMALL_TILE: driven, FAILING: driven, MANY: many, ON_NODES: on_nodes}
 
 
 def start(scene, comm, backend):
@@ -137,11 +150,11 @@ def in_order(population, geometry):
 
 
 def failing(scene, comm, backend):
-    """What is said when some particles have been turned inside out."""
+    """What is said when some particles of the second law have no volume any more."""
     simulation = Simulation(scene, comm, backend=backend)
-    particles, F = simulation.particles, simulation.particles.F
-    F[np.isin(particles.id, (7, 20, 21))] = np.diag([-1.0, 1.0])
-    particles.F = F
+    particles, J = simulation.particles, simulation.particles.J
+    J[np.isin(particles.id, np.sort(particles.id[particles.material == 1])[[7, 20, 21]])] = -1.0
+    particles.J = J
     try:
         simulation.run(steps=5)
     except NumericalFailure as failure:
@@ -150,16 +163,25 @@ def failing(scene, comm, backend):
 
 
 def go(simulation, edges):
-    """Some steps, a regroup with other cuts, some steps."""
+    """Some steps, a regroup with other cuts, some steps; one rank takes other nodes while the others keep theirs."""
     simulation.run(steps=STEPS)
     simulation.regroup(edges=edges)
-    simulation.run(steps=STEPS)
+    for _ in range(STEPS):
+        simulation.run(steps=1)
+        simulation.patch.stale |= simulation.comm.rank == 0
     return simulation
 
 
 def apart(label, folder, comm):
     """{what has happened: distances} of one scene."""
     scene = SCENES[label]()
+    if label == MANY:
+        one, other = (Simulation(scene, comm, backend=backend) for backend in ("cpu", "cuda"))
+        for simulation in (one, other):
+            simulation.regroup()
+        other.lay_out()
+        held, estimated = other.processor.nbytes, int(cards.of_scene(scene))
+        return {"alike": moved_alike(one, other), "held": held, "estimated": estimated, "particles": other.rows()}
     if label == FAILING:
         one, other = (failing(scene, comm, backend) for backend in ("cpu", "cuda"))
         return {"failures": [one, other]}
@@ -194,7 +216,8 @@ def main():
     comm, folder = from_launcher(), Path(sys.argv[1])
     for label in sys.argv[2:]:
         tile = 400 if label == SMALL_TILE else build_cuda.TILE_BYTES
-        with mock.patch.multiple(build_cuda, TILE_BYTES=tile, THREADS=FULL if label in ALL_THREADS else FEW):
+        threads = FULL if label in ALL_THREADS else FEWEST if label == MANY else FEW
+        with mock.patch.multiple(build_cuda, TILE_BYTES=tile, THREADS=threads):
             found = apart(label, folder, comm)
         if comm.rank == 0:
             print(json.dumps({"row": label, **found}), flush=True)

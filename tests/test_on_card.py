@@ -59,35 +59,16 @@ def test_cards_of_two_ranks_agree_with_their_processors_with_halo_migration_and_
 def test_a_failure_on_a_card_is_told_as_on_the_processor(tmp_path):
     (found,) = on_card(["driven, failing"], tmp_path)
     one, other = found["failures"]
-    assert "its state is no longer valid" in one
+    assert "of material b" in one
     assert other.split(" (velocity")[0] == one.split(" (velocity")[0]
 
 
-MEMORY = """
-import pmpm
-from pmpm.kernels import build_cuda
-from pmpm.processors import cards
-
-build_cuda.THREADS = 32
-scene = pmpm.Scene(
-    domain={"size": [4.0] * 3, "cell_size": 0.1}, method={"precision": "float32"}, time={"end": 1.0},
-    materials={"m": {"model": "neo_hookean", "density": 1e3, "youngs_modulus": 1e5, "poisson_ratio": 0.3}},
-    bodies=[{"material": "m", "shape": {"type": "box", "min": [0.5] * 3, "max": [1.3] * 3}}],
-)
-simulation = pmpm.Simulation(scene, backend="cuda")
-simulation.regroup()
-simulation.lay_out()
-print(simulation.rows(), simulation.processor.nbytes, int(cards.of_scene(scene)))
-"""
-
-
-def test_a_card_holds_what_was_estimated_before_it_was_asked(tmp_path):
+def test_a_card_sorts_many_particles_and_holds_what_was_estimated_before_it_was_asked(tmp_path):
     """The estimate leaves room for nodes of material that spreads."""
-    done = launch.python(["-c", MEMORY], None, LIMIT, tmp_path, NUMBA_ENABLE_CUDASIM="1")
-    assert done.status == 0, done.text
-    particles, held, estimated = map(int, done.text.split())
-    assert particles == 4096
-    assert 0.6 * estimated < held < estimated
+    (found,) = on_card(["many"], tmp_path)
+    assert found["alike"]
+    assert found["particles"] == 8000
+    assert 0.6 * found["estimated"] < found["held"] < found["estimated"]
 
 
 def test_a_run_on_cards_leaves_what_a_run_on_processors_leaves(tmp_path):

@@ -226,13 +226,12 @@ class Cuda:
     def take_shared(self):
         """Complete the sums of the shared planes with what has come."""
         for number, incoming in enumerate(self.incoming):
-            message = incoming.message
             if incoming.is_new():
                 incoming.numbers = self.kept(("numbers", number), incoming.numbers_in(self.patch), np.int64)
+                incoming.copy = incoming.ends()
             if incoming.count and not self.direct:
-                first = message.told()
-                here = message.reals[first : first + 4 * incoming.count].reshape(-1, 4)
-                incoming.values[: incoming.count].copy_to_device(here, stream=self.copies)
+                here, there = incoming.copy
+                there.copy_to_device(here, stream=self.copies)
         if not self.direct:
             self.arrived.record(self.copies)
             self.arrived.wait(self.stream)
@@ -398,13 +397,18 @@ class Incoming:
 
     def __init__(self, message, planes, values):
         self.message, self.planes, self.values = message, planes, values
-        self.head, self.count, self.numbers = b"", 0, None
+        self.head, self.count, self.numbers, self.copy = b"", 0, None, None
 
     def is_new(self):
         """Whether the message has other nodes than the last one had."""
         head = self.message.head.tobytes()
         changed, self.head = head != self.head, head
         return changed
+
+    def ends(self):
+        """(where the message has the sums, where they go on the card)."""
+        first = self.message.told()
+        return self.message.reals[first : first + 4 * self.count].reshape(-1, 4), self.values[: self.count]
 
     def numbers_in(self, patch):
         """Numbers of the nodes in a patch."""

@@ -1,10 +1,13 @@
 """Which card a rank takes, and what is said where there is none: the driver is played by the test."""
 
+import numpy as np
 import pytest
 
 import pmpm
 from pmpm.parallel.comm import Alone
+from pmpm.parallel.halo import Message
 from pmpm.processors import cards
+from pmpm.processors.cuda import Incoming
 from pmpm.scene.errors import SceneError
 
 GIBI = 1 << 30
@@ -95,3 +98,23 @@ def test_a_scene_too_large_for_the_cards_is_refused_with_how_many_would_do():
     cards.refuse_memory(scene, taken, 1)
     with pytest.raises(SceneError, match="5 ranks, each with such a card, would do"):
         cards.refuse_memory(scene, taken / 4.5, 2)
+
+
+class Everywhere:
+    """A patch whose nodes are numbered by (plane, node), without plane 3."""
+
+    def find(self, plane, middle, node):
+        return np.where(plane == 3, -1, 100 * plane + 10 * middle + node)
+
+
+def test_what_comes_is_looked_up_again_when_it_has_other_nodes():
+    message = Message(2, 1, 4, np.float32)
+    message.tell([1, 1], np.array([[0, 0, 1], [0, 2, 3]]), 2 * 16)
+    incoming = Incoming(message, np.array([3, 5]), None)
+    assert incoming.is_new()
+    assert incoming.numbers_in(Everywhere()).tolist() == [-1] * 4 + [508, 509, 510, 511]
+    assert incoming.count == 8
+    assert not incoming.is_new()
+    message.tell([0, 1], np.array([[0, 1, 3]]), 2 * 16)
+    assert incoming.is_new()
+    assert incoming.numbers_in(Everywhere()).tolist() == list(range(504, 512))
