@@ -6,6 +6,8 @@ another one, while the kernels of the other layers run. The host waits for the s
 found.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import cuda
 
@@ -397,7 +399,8 @@ class Incoming:
 
     def __init__(self, message, planes, values):
         self.message, self.planes, self.values = message, planes, values
-        self.head, self.count, self.numbers, self.copy = b"", 0, None, None
+        self.head, self.count, self.numbers = b"", 0, None
+        self.copy: Any = None  # see `ends`
 
     def is_new(self):
         """Whether the message has other nodes than the last one had."""

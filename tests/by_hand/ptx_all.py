@@ -29,7 +29,7 @@ def main():
     for label, precision in scenes.items():
         complaints, count = [], 0
         for noted in kernels_of(on_card.SCENES[label]()):
-            key = noted.function.__name__, noted.types
+            key = noted.function.__qualname__, noted.types
             if key in seen:
                 continue
             seen.add(key)
