@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numba
 import numpy as np
 
 from pmpm.kernels import cuda_loops, cuda_sorting, scalar_loops, targets
@@ -52,6 +53,7 @@ class CudaKernels:
 def build(needs, layouts, parameter_counts, tiled=True):
     """Kernels for these needs, not compiled yet. Layouts and counts are per law; `tiled`: see cuda_loops.p2g."""
     targets.use_cache_folder()
+    numba.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # type: ignore[attr-defined]  # some kernels have little to do
     real = np.dtype(needs.precision).type
     make = partial(targets.cuda, real)
     scene = scene_choices(needs) | scalar_choices(needs)

@@ -3,10 +3,12 @@
 
 def processor(simulation, backend, threads):
     """The processor of this rank: `backend` cpu, on so many threads, cuda, or plan, see there. Raises ValueError for another
-    name."""
+    name, SceneError where a rank finds no card."""
     if backend == "cuda":
+        from pmpm.processors import cards
         from pmpm.processors.cuda import Cuda
 
+        cards.take(simulation.comm)
         return Cuda(simulation)
     if backend == "plan":
         from pmpm.processors.plan import Plan

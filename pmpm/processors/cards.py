@@ -51,7 +51,7 @@ def trouble():
     from numba import cuda
 
     if not cuda.is_available():
-        reason = str(cuda.cuda_error() or "no card answers").strip().splitlines()[0]
+        reason = str(cuda.cuda_error() or "no card answers, or NVIDIA's compiler is missing").strip().splitlines()[0]
         return f"no NVIDIA driver or no card ({reason.rstrip('.')})"
     return None
 

@@ -15,6 +15,7 @@ from pmpm.kernels import build, build_cuda
 from pmpm.kernels.cuda_loops import CAUSES, FORCE, MAXIMA, NO_FAILURE, STEP
 from pmpm.kernels.places import FORMATS
 from pmpm.kernels.scalar_loops import FIELD_TUPLES
+from pmpm.parallel.halo import zeros
 from pmpm.parallel.parts import Crew
 from pmpm.processors.on_card import OnCard
 from pmpm.scene.errors import SceneError
@@ -47,6 +48,9 @@ class Cuda:
         self.stream, self.copies = self.card.stream(), self.card.stream()
         self.summed, self.arrived = self.card.event(), self.card.event()
         self.memory = Scratch(self.card.device_array)
+        self.being_read: list = []  # arrays of the host that the card may not have copied yet
+        self.host_rooms: list = []  # for messages, and how many of them the patch has got
+        self.given = 0
         self.direct = simulation.comm.reaches_cards
         laws = len(simulation.needs.laws)
         self.tables = [self.card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
@@ -72,13 +76,19 @@ class Cuda:
             kernel[-(-count // threads), threads, self.stream](*arguments)
 
     def send(self, here, there):
-        """Copy an array to the card."""
+        """Copy an array to the card. It is read some time before the host waits for the card the next time."""
         there.copy_to_device(here, stream=self.stream)
+        self.being_read.append(here)
 
     def bring(self, there, here):
         """Copy an array from the card."""
         there.copy_to_host(here, stream=self.stream)
+        self.wait()
+
+    def wait(self):
+        """Wait until all that has been asked for is done."""
         self.stream.synchronize()
+        self.being_read.clear()
 
     def brought(self, there):
         """A copy of an array of the card."""
@@ -102,8 +112,16 @@ class Cuda:
         return int(self.brought(counter)[0])
 
     def host_room(self, size):
-        """So many bytes of the host, which the card reads and writes without a detour."""
-        return self.card.pinned_array(max(size, 1), np.uint8)[:size]
+        """So many bytes of the host, which the card reads and writes without a detour: those of an earlier patch if they are
+        enough. Where messages go from card to card the host has little to send."""
+        if self.direct:
+            return zeros(size)
+        if self.given == len(self.host_rooms):
+            self.host_rooms.append(np.zeros(0, np.uint8))
+        if len(self.host_rooms[self.given]) < size:
+            self.host_rooms[self.given] = self.card.pinned_array(size + size // 8, np.uint8)
+        self.given += 1
+        return self.host_rooms[self.given - 1][:size]
 
     @property
     def nbytes(self):
@@ -114,7 +132,8 @@ class Cuda:
     # ---- set-up ----
 
     def take_patch(self):
-        """Nothing to do: nodes are taken when they are laid out."""
+        """Take note that the halo has got its messages; nodes are taken when they are laid out."""
+        self.given = 0
 
     def take_parts(self):
         """Nothing to do: nothing is kept apart."""
@@ -131,6 +150,7 @@ class Cuda:
             if not (self.holds_newest and population is here.population):
                 here.take(population)
                 self.holds_newest = False
+        self.wait()  # who called may go on writing to them
 
     def give_particles(self):
         """See to it that the simulation's populations are up to date."""
@@ -328,7 +348,7 @@ class Cuda:
         self.failure.copy_to_host(self.failures, stream=self.stream)
         if self.simulation.needs.driven:
             self.works = sum(p.by_layer(self.brought(p.works)) for p in self.particles)
-        self.stream.synchronize()
+        self.wait()
         failed = []
         for law, found in enumerate(map(int, self.failures)):
             if found != NO_FAILURE:

@@ -79,9 +79,10 @@ class Scratch:
     def array(self, name, shape, dtype):
         """Uninitialised; what was taken under this name before must not be used any more."""
         size = int(np.prod(shape, dtype=np.int64))
-        if name not in self.kept or len(self.kept[name]) < size:
-            self.kept[name] = self.empty(size + size // 8, dtype)
-        return self.kept[name][:size].reshape(shape)
+        key = name, np.dtype(dtype)
+        if key not in self.kept or len(self.kept[key]) < size:
+            self.kept[key] = self.empty(size + size // 8, dtype)
+        return self.kept[key][:size].reshape(shape)
 
 
 class Source:
