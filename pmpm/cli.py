@@ -14,7 +14,6 @@ MOST_THREADS = 1024  # per rank: more than any machine has cores
 BEGAN = time.time()  # from which --walltime counts
 NOT_BUILT = {
     "render": "pictures and a film of a run, without ParaView",
-    "plot": "diagnostics of a run over time",
 }
 
 
@@ -143,6 +142,9 @@ def parser(rank=0):
     add_study(commands)
     info = commands.add_parser("info", help="what a run folder or snapshot holds")
     info.add_argument("path", metavar="PATH")
+    plot = commands.add_parser("plot", help="draw the diagnostics of a run over time (needs matplotlib)")
+    plot.add_argument("path", metavar="DIR")
+    plot.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: plot.png in the folder of the run)")
     for name, meaning in NOT_BUILT.items():
         later = commands.add_parser(name, help=f"{meaning} (not built yet)")
         later.add_argument("path", nargs="*")
@@ -337,6 +339,14 @@ def info(options, comm):
     return FINISHED
 
 
+def plot(options, comm):
+    from pmpm.output.plot import plot as draw
+
+    say(draw(options.path, options.out) if comm.rank == 0 else "", comm.rank)
+    return FINISHED
+
+
 COMMANDS = {
     "run": run, "check": check, "scenes": scenes, "materials": materials, "point": point, "study": study, "info": info,
+    "plot": plot,
 }  # fmt: skip

@@ -6,6 +6,7 @@ import math
 import numpy as np
 from pydantic import ValidationError
 
+from pmpm.output.pictures import figure_class
 from pmpm.physics.materials import LAWS
 from pmpm.physics.materials.examples import EXAMPLES
 from pmpm.point import report
@@ -28,7 +29,7 @@ def point(options):
     model, keys, dim, typical = chosen_material(options)
     course = chosen_course(options, typical)
     if options.plot:
-        report.figure_class()  # before all the work
+        figure_class("--plot")  # before all the work
     particle = Point(model, keys, dim)
     record, path = run(particle, course, dim)
     lines = [headline(options, model, keys, dim), course_text(course, dim)]

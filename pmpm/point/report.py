@@ -1,10 +1,12 @@
 """What a driven point is shown as: a table on the screen, a CSV file, a picture."""
 
+from pathlib import Path
+
 import numpy as np
 
 from pmpm.output.files import OutputError, write_atomically
+from pmpm.output.pictures import figure_class, plain, save
 from pmpm.point.paths import SHEAR, VOLUME
-from pmpm.scene.errors import SceneError
 
 UNITS = {"time": "s", "p": "Pa", "q": "Pa"}  # and stress_..; all else is a pure number or a state variable
 SILENT = 1e-9  # of the largest stress or strain: what stays below is zero on the screen, a column of it is left out
@@ -80,15 +82,6 @@ def write_csv(record, file):
         raise OutputError(f"--out {file}: {error.strerror or error}") from None
 
 
-def figure_class():
-    """matplotlib's Figure. Raises SceneError with what to install where matplotlib is missing."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise SceneError("--plot needs matplotlib, which is not installed: pip install 'pmpm[viz]'") from None
-    return Figure
-
-
 def prefix_of(largest):
     """(factor, prefix) in which numbers of that size read well."""
     for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
@@ -102,7 +95,7 @@ def draw(record, path, title, file):
 
     `path` is one of paths.PATHS, None for a path of one's own.
     """
-    Figure = figure_class()  # noqa: N806
+    Figure = figure_class("--plot")  # noqa: N806
     panels = panels_of(record, path)
     figure = Figure(figsize=(SIZE[0] * len(panels), SIZE[1]), dpi=DPI, layout="constrained")
     figure.suptitle(title, fontsize=9)
@@ -114,10 +107,9 @@ def draw(record, path, title, file):
         axes.set_ylabel(y_label, fontsize=8)
         axes.locator_params(nbins=5)
         axes.tick_params(labelsize=7)
-        axes.grid(color="#dddddd", lw=0.5)
-        axes.spines[["top", "right"]].set_visible(False)
+        plain(axes)
     try:
-        figure.savefig(file)
+        save(figure, Path(file))
     except (OSError, ValueError) as error:
         raise OutputError(f"--plot {file}: {getattr(error, 'strerror', None) or error}") from None
 

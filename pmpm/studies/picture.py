@@ -4,10 +4,10 @@ Where no error is known of a scheme it is named and has no line: its differences
 smaller than those of others. Where no error is known of any scheme, differences are drawn.
 """
 
-from pmpm.output.files import unfinished_name
+from pmpm.output.pictures import INSTALL, plain, save
 from pmpm.studies.runs import FINISHED
 
-MISSING = "no picture: matplotlib is not installed: pip install 'pmpm[viz]', and run the same command again"
+MISSING = f"no picture: matplotlib is not installed: {INSTALL}, and run the same command again"
 NOTHING = "no picture: no run has an error or a difference"
 SIZE, DPI = (5.6, 4.2), 120
 MARKERS = "osD^vP*X"
@@ -33,12 +33,9 @@ def draw(study, file):
     error = "error of displacement" if study.exact else "estimated error of displacement"
     axes.set_ylabel(error if known else "difference of displacement to the next level")
     axes.set_title(study.title, fontsize=9)
-    axes.grid(which="both", color="#dddddd", lw=0.5)
-    axes.spines[["top", "right"]].set_visible(False)
+    plain(axes, "both")
     axes.legend(fontsize=8, frameon=False)
-    unfinished = unfinished_name(file)
-    figure.savefig(unfinished, format="png")
-    unfinished.replace(file)
+    save(figure, file)
     return None
 
 

@@ -1,0 +1,32 @@
+"""How pictures look, and what to install for them: matplotlib is an extra, imported when something is drawn."""
+
+from pmpm.output.files import unfinished_name
+from pmpm.scene.errors import SceneError
+
+INSTALL = "pip install 'pmpm[viz]'"
+
+
+def figure_class(asker):
+    """matplotlib's Figure. Raises SceneError with what to install where matplotlib is missing."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise SceneError(f"{asker} needs matplotlib, which is not installed: {INSTALL}") from None
+    return Figure
+
+
+def plain(axes, which="major"):
+    """Axes with a faint grid and no frame on the sides without numbers."""
+    axes.grid(which=which, color="#dddddd", lw=0.5)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def save(figure, file):
+    """Write a picture, of the kind that the file's name ends with, whole or not at all."""
+    unfinished = unfinished_name(file)
+    try:
+        figure.savefig(unfinished, format=file.suffix[1:] or "png")
+        unfinished.replace(file)
+    finally:
+        unfinished.unlink(missing_ok=True)
