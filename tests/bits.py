@@ -7,16 +7,16 @@ import h5py
 import launch
 import numpy as np
 
-from pmpm.output.snapshots import COMMON_FIELDS
 from pmpm.physics.materials import LAWS
 from pmpm.scene.schema import Scene
+from pmpm.state.fields import OUTPUT_NAMES
 
 
 def all_fields(scene):
     """Names of everything that a scene can write: the common fields and the state of its laws."""
     used = [scene.materials[body.material] for body in scene.bodies]
     states = [field.name for material in used for field in LAWS[material.model].state_fields(material.parameters)]
-    return list(dict.fromkeys((*COMMON_FIELDS, *states)))
+    return list(dict.fromkeys((*OUTPUT_NAMES, *states)))
 
 
 def arguments_of(settings):

@@ -20,20 +20,12 @@ from pmpm.output.files import (
     unfinished_name,
 )
 from pmpm.physics.materials import LAWS
+from pmpm.state.fields import OUTPUT
 
 PIECE = 1 << 28  # bytes that are written at a time where all ranks write together
 AHEAD = 3  # groups of rows that wait to be written while the next is made
 ABORTED = 1  # exit status when ranks must be ended in the middle of a write
-UNITS = {
-    "Points": "m",
-    "velocity": "m/s",
-    "speed": "m/s",
-    "pressure": "Pa",
-    "stress": "Pa",
-    "deformation_gradient": "-",
-    "J": "-",
-    "density": "kg/m3",
-}
+UNITS = {"Points": "m"} | {field.name: field.unit for field in OUTPUT if field.name != "material"}
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from pmpm.output.files import OutputError, explain, on_every_rank, on_rank_zero,
 from pmpm.output.layout import snapshot_attributes, three_columns, topology
 from pmpm.output.reader import reading
 from pmpm.output.run_directory import FAILED, INDEX, SNAPSHOTS, snapshot_files
-
-COMMON_FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "density", "speed", "material")
+from pmpm.state.fields import OUTPUT_NAMES
 
 
 class SnapshotWriter:
@@ -102,7 +101,7 @@ def collect(simulation, scene, names):
     """This rank's rows of every particle dataset, by path in the file. OutputError if rows are missing."""
     names = [name for name in names if name != "id"]
     fields = simulation.fields_later(["id", "x", *names])
-    own_state = [name for name in names if name not in COMMON_FIELDS]
+    own_state = [name for name in names if name not in OUTPUT_NAMES]
     laws = simulation.law_fields_later(own_state) if own_state else {}
 
     real = np.dtype(scene.method.precision)

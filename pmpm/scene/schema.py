@@ -21,11 +21,11 @@ from pmpm.scene.part import Part
 from pmpm.scene.recorded import record
 from pmpm.scene.shapes import AXES, Shape, wrong_length
 from pmpm.scene.values import CONTROLS, check_word, choice, flag, names, number, tables, text, vector, whole
+from pmpm.state.fields import OUTPUT_NAMES
 from pmpm.state.fields import Field as StoredField
 
 WALLS = ("stick", "slip", "separate", "friction", "free")
 PLANNED_WALLS = ("open",)
-FIELDS = ("velocity", "pressure", "stress", "deformation_gradient", "J", "density", "material", "speed")
 CFL = 0.4
 DEPTHS = 16  # at which a stress is tried
 FLIP_BLEND = 0.99
@@ -530,7 +530,7 @@ class Scene(Part):
                 if sizes.setdefault(field.name, size) != size:
                     text = f"keeps {size} numbers as {field.name}, another law of the scene {sizes[field.name]}: rename one"
                     yield Problem(("materials", name, "model"), text)
-        known = list(dict.fromkeys((*FIELDS, *sizes)))
+        known = list(dict.fromkeys((*OUTPUT_NAMES, *sizes)))
         for index, name in enumerate(self.output.fields):
             if name not in known:
                 near = known_text(name, known, "fields of this scene")

@@ -93,6 +93,11 @@ class DerivedFields:
         sigma = self.stress()
         return -(sigma[:, 0] + sigma[:, 1] + sigma[:, 2]) / self.real(3.0)
 
+    def von_mises_stress(self):
+        sigma = self.stress()
+        normal = sigma[:, :3] + self.pressure()[:, None]
+        return np.sqrt(self.real(1.5) * (normal * normal + 2 * sigma[:, 3:] * sigma[:, 3:]).sum(axis=1))
+
     def deformation_gradient(self):
         """(n, 9) F row by row, plane strain completed by F_zz = 1; nan where the law keeps none."""
         F = self.field("F")

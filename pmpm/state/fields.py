@@ -65,11 +65,13 @@ OUTPUT = (
     Field("speed", "scalar", "m/s", "magnitude of the velocity"),
     Field("pressure", "scalar", "Pa", "minus the mean Cauchy stress: positive in compression"),
     Field("stress", "symmetric", "Pa", "Cauchy stress"),
+    Field("von_mises_stress", "scalar", "Pa", "sqrt(3/2) times the norm of the deviator of the Cauchy stress"),
     Field("deformation_gradient", "tensor", "-", "F, where the law keeps one"),
     Field("J", "scalar", "-", "volume ratio"),
     Field("density", "scalar", "kg/m3", "current density"),
     Field("material", "scalar", "-", "number of the material in the scene"),
 )
+OUTPUT_NAMES = tuple(field.name for field in OUTPUT)
 
 
 def diagonal(dim):

@@ -19,8 +19,9 @@ from pmpm.physics.materials import LAWS, law_of
 from pmpm.scene.exact import Exact
 from pmpm.scene.materials import MODELS
 from pmpm.scene.materials import material as make_material
-from pmpm.scene.schema import FIELDS, Scene
+from pmpm.scene.schema import Scene
 from pmpm.scene.shapes import SHAPES
+from pmpm.state.fields import OUTPUT_NAMES
 
 ROWS = [row for row in agreement.PAIRS + agreement.SINGLE if row["material"] != "breaking"]  # a file holds no functions
 OWN_KERNELS = [next(row for row in ROWS if row["dim"] == dim) for dim in (2, 3)]
@@ -270,11 +271,11 @@ def motion(draw, cells, h):
 @st.composite
 def output(draw, materials, h):
     made = [make_material(table) for table in materials.values()]
-    states = {field.name for m in made for field in law_of(m.model).state_fields(m.parameters)} - set(FIELDS)
+    states = {field.name for m in made for field in law_of(m.model).state_fields(m.parameters)} - set(OUTPUT_NAMES)
     return {
         "snapshot_interval": draw(maybe(st.sampled_from((h * 1e-3, h, 1e9)))),
         "diagnostics_interval": draw(maybe(st.sampled_from((h * 1e-3, h, 1e9)))),
-        "fields": draw(maybe(st.lists(st.sampled_from((*FIELDS, *sorted(states))), unique=True, max_size=4))),
+        "fields": draw(maybe(st.lists(st.sampled_from((*OUTPUT_NAMES, *sorted(states))), unique=True, max_size=4))),
         "checkpoint_interval": draw(maybe(st.sampled_from((h * 1e-2, h)))),
         "checkpoint_wall_interval": draw(maybe(st.sampled_from((0, 60)))),
         "checkpoint_keep": draw(maybe(st.integers(1, 3))),

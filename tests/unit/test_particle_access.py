@@ -92,6 +92,31 @@ def test_what_cannot_be_assigned_says_so(simulation, name):
         setattr(simulation.particles, name, 1.0)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_von_mises_stress_is_that_of_the_whole_tensor(dim):
+    """Of a simple shear sqrt(3) G gamma; of any strain what the deviator of the stress gives, out of the plane too."""
+    solid = {"model": "neo_hookean", "density": 1e3, "youngs_modulus": 1e6, "poisson_ratio": 0.25}
+    scene = pmpm.Scene(
+        domain={"size": [8.0] * dim, "cell_size": 1.0},
+        time={"end": 1.0},
+        materials={"solid": solid},
+        bodies=[{"material": "solid", "shape": {"type": "box", "min": [2.0] * dim, "max": [4.0] * dim}}],
+    )
+    simulation = pmpm.Simulation(scene)
+    particles = simulation.particles
+    F = np.tile(np.eye(dim), (len(particles.id), 1, 1))
+    F[:, 0, 1] = 1e-4
+    particles.F = F
+    shear = simulation.fields(["von_mises_stress"])["von_mises_stress"]
+    assert shear == pytest.approx(np.sqrt(3.0) * 4e5 * 1e-4, rel=1e-3)  # G = E / 2.5
+    particles.F = F + 0.1 * np.random.default_rng(1).normal(size=F.shape)
+    found = simulation.fields(["von_mises_stress", "stress"])
+    xx, yy, zz, xy, yz, xz = found["stress"].T
+    sigma = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
+    deviator = sigma - np.trace(sigma, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
+    assert found["von_mises_stress"] == pytest.approx(np.sqrt(1.5) * np.linalg.norm(deviator, axis=(1, 2)), rel=1e-12)
+
+
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("model", ["drucker_prager", "mohr_coulomb"])
 def test_a_cohesive_law_without_friction_whose_surface_has_no_tip_runs(model, precision):
