@@ -12,9 +12,6 @@ from pmpm import __version__
 FINISHED, FAILED, WRONG_INPUT, STOPPED = 0, 1, 2, 3
 MOST_THREADS = 1024  # per rank: more than any machine has cores
 BEGAN = time.time()  # from which --walltime counts
-NOT_BUILT = {
-    "render": "pictures and a film of a run, without ParaView",
-}
 
 
 def main(arguments=None):
@@ -62,8 +59,6 @@ def command(options, comm):
     from pmpm.output.files import OutputError
     from pmpm.scene.errors import SceneError
 
-    if options.command in NOT_BUILT:
-        return complain(f"pmpm {options.command} is not built yet", comm.rank)
     try:
         return COMMANDS[options.command](options, comm)
     except (SceneError, OutputError) as error:
@@ -145,9 +140,16 @@ def parser(rank=0):
     plot = commands.add_parser("plot", help="draw the diagnostics of a run over time (needs matplotlib)")
     plot.add_argument("path", metavar="DIR")
     plot.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: plot.png in the folder of the run)")
-    for name, meaning in NOT_BUILT.items():
-        later = commands.add_parser(name, help=f"{meaning} (not built yet)")
-        later.add_argument("path", nargs="*")
+    render = commands.add_parser("render", help="a picture or a film of a run, without ParaView (needs matplotlib)")
+    render.add_argument("path", metavar="DIR")
+    render.add_argument("--field", metavar="NAME", help="that colours particles (default: speed)")
+    render.add_argument("--snapshot", type=int, default=-1, metavar="N", help="which one (default: -1, the last)")
+    render.add_argument(
+        "--out",
+        metavar="FILE",
+        help=".png, .pdf, .svg, or a film: .gif, .mp4 (default: render.png in the folder of the run)",
+    )
+    render.add_argument("--quiet", action="store_true", help="no progress on the screen")
     return top
 
 
@@ -346,7 +348,15 @@ def plot(options, comm):
     return FINISHED
 
 
+def render(options, comm):
+    from pmpm.output.render import render as draw
+
+    asked = options.path, options.field, options.snapshot, options.out, options.quiet
+    say(draw(*asked) if comm.rank == 0 else "", comm.rank)
+    return FINISHED
+
+
 COMMANDS = {
     "run": run, "check": check, "scenes": scenes, "materials": materials, "point": point, "study": study, "info": info,
-    "plot": plot,
+    "plot": plot, "render": render,
 }  # fmt: skip

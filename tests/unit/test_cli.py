@@ -86,11 +86,6 @@ def test_a_periodic_axis_with_too_few_cells_is_refused(scene_file, capsys):
     assert "axis y has 3 cells, a periodic axis needs 5" in refused(["run", "drop.toml", *settings, box], capsys)
 
 
-@pytest.mark.parametrize("command", ["render"])
-def test_a_command_that_is_not_built_says_so(command, capsys):
-    assert f"pmpm {command} is not built yet" in refused([command, "x"], capsys)
-
-
 def test_without_a_card_a_run_on_one_is_refused(scene_file, capsys):
     """No driver here; with one, a message of another kind would be the wrong one."""
     assert "no NVIDIA driver" in refused(["run", "drop.toml", "--backend", "cuda"], capsys)

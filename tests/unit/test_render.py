@@ -1,0 +1,156 @@
+"""`pmpm render`: pictures and films of a run, and what is said where none can be made."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pmpm
+from pmpm.cli import main
+from pmpm.output import render
+
+pytest.importorskip("matplotlib")
+from matplotlib import animation, image  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+
+ELASTIC = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e5, "poisson_ratio": 0.3}
+
+
+def run_of(folder, dim):
+    """The folder of a run of two blocks of two materials that fall, four snapshots in all."""
+    low = [0.1] * dim
+    scene = pmpm.Scene(
+        title="Two blocks",
+        domain={"size": [0.6, 0.4, 0.5][:dim], "cell_size": 0.05, "gravity": [0.0, -10.0, 0.0][:dim]},
+        time={"end": 0.03},
+        materials={"red": ELASTIC, "blue": ELASTIC},
+        bodies=[
+            {"material": "red", "shape": {"type": "box", "min": low, "max": [0.2] * dim}},
+            {"material": "blue", "shape": {"type": "box", "min": [0.3, *low[1:]], "max": [0.4, *[0.2] * (dim - 1)]}},
+        ],
+        output={"snapshot_interval": 0.01, "fields": ["velocity", "pressure", "stress", "material"]},
+    )
+    file = folder / "two.toml"
+    file.write_text(scene.to_toml(), encoding="utf-8")
+    assert main(["run", str(file), "--out", str(folder / "two"), "--quiet"]) == 0
+    return folder / "two"
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    return run_of(tmp_path_factory.mktemp("render"), 2)
+
+
+@pytest.fixture(scope="module")
+def solid(tmp_path_factory):
+    return run_of(tmp_path_factory.mktemp("render3"), 3)
+
+
+def drawn(folder, field=None, number=-1):
+    """(view, figure) of a snapshot."""
+    run = pmpm.load(folder)
+    snapshot = run.snapshots[number]
+    view = render.view_of(run.scene, [snapshot], field)
+    figure = Figure()
+    render.draw(figure, view, snapshot)
+    return view, figure
+
+
+def test_particles_lie_where_they_are_and_have_the_colour_of_their_speed(flat):
+    snapshot = pmpm.load(flat).snapshots[-1]
+    view, figure = drawn(flat)
+    points = figure.axes[0].collections[0]
+    assert np.allclose(points.get_offsets(), snapshot.x)
+    speed = np.linalg.norm(snapshot.velocity, axis=1)
+    assert np.allclose(points.get_array(), speed)
+    assert view.limits == pytest.approx((speed.min(), speed.max()))
+    assert view.label == "speed (m/s)"
+    assert figure.axes[0].get_xlim() == (0.0, 0.6)
+    assert "Two blocks" in figure.axes[0].get_title()
+
+
+def test_in_space_the_axis_of_gravity_stands_upright(solid):
+    view, figure = drawn(solid, "pressure")
+    axes = figure.axes[0]
+    assert view.order == (0, 2, 1)
+    assert [axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()] == ["x (m)", "z (m)", "y (m)"]
+    assert axes.get_zlim() == pytest.approx((0.0, 0.4))
+
+
+def test_materials_are_told_apart_and_named(flat):
+    _, figure = drawn(flat, "material")
+    legend = figure.axes[0].get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["red", "blue"]
+
+
+def test_of_many_particles_every_nth_is_drawn_and_larger(flat, monkeypatch):
+    whole = drawn(flat)[1].axes[0].collections[0]
+    monkeypatch.setattr(render, "MOST", 20)
+    few = drawn(flat)[1].axes[0].collections[0]
+    assert len(few.get_offsets()) == 16  # of 32 every second
+    assert few.get_sizes()[0] == pytest.approx(2.0 * whole.get_sizes()[0])
+
+
+def test_a_film_has_a_frame_for_each_snapshot_with_the_same_colours(flat, tmp_path, capsys):
+    file = tmp_path / "film.gif"
+    assert main(["render", str(flat), "--out", str(file)]) == 0
+    assert "4 frames" in capsys.readouterr().out
+    from PIL import Image
+
+    with Image.open(file) as film:
+        assert film.n_frames == 4
+    snapshots = pmpm.load(flat).snapshots
+    low, high = render.range_of(snapshots, "velocity")
+    assert low == 0.0
+    assert high == pytest.approx(max(np.linalg.norm(snapshot.velocity, axis=1).max() for snapshot in snapshots))
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+
+
+@pytest.mark.parametrize("folder", ["flat", "solid"])
+def test_a_picture_of_the_last_snapshot_is_left_in_the_folder(folder, request):
+    folder = request.getfixturevalue(folder)
+    assert main(["render", str(folder), "--quiet"]) == 0
+    picture = image.imread(folder / "render.png")
+    assert picture.shape[0] > 300
+    assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 50
+
+
+@pytest.mark.parametrize(
+    ("values", "limits"),
+    [([2.0, 2.0], (2.0, 4.0)), ([0.0], (0.0, 1.0)), ([np.nan], (0.0, 1.0)), ([1.0, np.nan, 3.0], (1.0, 3.0))],
+)
+def test_colours_can_be_told_apart_whatever_the_values(values, limits, monkeypatch):
+    monkeypatch.setattr(render, "scalars", lambda snapshot, field: np.array(values))
+    assert render.range_of([None], "x") == limits
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["{run}", "--field", "colour"], "holds no field colour; it holds id, material, pressure, stress, velocity"),
+        (["{run}", "--field", "stress"], "a tensor has no colour"),
+        (["{run}", "--snapshot", "9"], "no snapshot 9: they are 0 to 3"),
+        (["{run}", "--out", "x.jpeg"], "must end with one of .png"),
+        (["{run}", "--out", "/proc/none/x.png"], "--out /proc/none/x.png"),
+        (["{run}", "--out", "/proc/none/x.gif"], "--out /proc/none/x.gif"),
+        (["nowhere"], "nowhere does not exist"),
+    ],
+)
+def test_what_cannot_be_rendered_is_told_with_status_2(arguments, complaint, flat, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["render", *(argument.format(run=flat) for argument in arguments)]) == 2
+    assert complaint in capsys.readouterr().err
+    assert list(Path().iterdir()) == []
+
+
+def test_a_film_that_nobody_can_make_names_the_program(flat, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(animation.FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
+    assert main(["render", str(flat), "--out", str(tmp_path / "x.mp4")]) == 2
+    assert "apt install ffmpeg" in capsys.readouterr().err
+
+
+def test_without_matplotlib_it_says_what_to_install(flat, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert main(["render", str(flat)]) == 2
+    assert "pip install 'pmpm[viz]'" in capsys.readouterr().err
