@@ -8,13 +8,15 @@ import numpy as np
 
 from pmpm.output.files import OutputError
 from pmpm.output.pictures import figure_class, plain, save
-from pmpm.output.reader import load, reading
+from pmpm.output.reader import load, reading, table_in, title_of
+from pmpm.output.run_directory import SCENE
 
 KINDS = (".png", ".pdf", ".svg")
 PANEL, DPI, COLUMNS = (3.9, 2.9), 130, 3
 MOST_SNAPSHOTS = 100  # that are looked at for how far material has come
 ROWS = 1 << 20  # of a snapshot that are read at a time
 TINY = 1e-300  # of an axis: what rests has one as well
+ENERGIES = "kinetic", "strain", "potential", "dissipated"
 STEADY = 1e-12  # of the largest energy: a line that moves less is round-off
 
 
@@ -43,7 +45,7 @@ def plot(path, file=None):
     rows = -(-len(panels) // COLUMNS)
     columns = min(len(panels), COLUMNS)
     figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows + 0.4), dpi=DPI, layout="constrained")
-    figure.suptitle(f"{run.scene.title or Path(path).name} ({run.status})", fontsize=10)
+    figure.suptitle(f"{title_of(run.path / SCENE) or Path(path).name} ({run.status})", fontsize=10)
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes, panel in zip(grid, panels, strict=False):
         draw(axes, panel)
@@ -61,31 +63,35 @@ def panels_of(run):
     diagnostics = run.diagnostics
     found = []
     if len(diagnostics.get("time", ())) > 1:
-        time = diagnostics["time"]
-        found += [
+        found = [
             Panel("energies", "J", energies(diagnostics)),
             Panel("momentum", "N s", columns(diagnostics, "momentum_")),
-            Panel("largest speed", "m/s", (("", time, diagnostics["max_speed"]),), from_zero=True),
-            Panel("time step", "s", (("", time, diagnostics["dt"]),), from_zero=True),
+            Panel("largest speed", "m/s", columns(diagnostics, "max_speed"), from_zero=True),
+            Panel("time step", "s", columns(diagnostics, "dt"), from_zero=True),
         ]
-    reach = extents(run.snapshots)
-    if reach:
-        found.append(Panel("extent of material", "m", reach))
-    phases = run.record.get("report", {}).get("seconds_per_phase", {})
-    if phases:
-        bars = [(name, told["min"], told["mean"], told["max"]) for name, told in phases.items()]
-        found.append(Panel("run time by phase", "s", bars=tuple(sorted(bars, key=lambda bar: bar[2]))))
-    return found
+    found.append(Panel("extent of material", "m", extents(run.snapshots)))
+    found.append(Panel("run time by phase", "s", bars=phases(table_in(run.record, "report"))))
+    return [panel for panel in found if panel.lines or panel.bars]
+
+
+def phases(report):
+    """Bars of the phases of a run, the longest last."""
+    of_phases = table_in(report, "seconds_per_phase")
+    told = [(name, *(table_in(of_phases, name).get(key) for key in ("min", "mean", "max"))) for name in of_phases]
+    whole = [bar for bar in told if all(isinstance(value, float) for value in bar[1:])]
+    return tuple(sorted(whole, key=lambda bar: bar[2]))
 
 
 def energies(diagnostics):
     """Lines of the energies, potential energy counted from its first value. What is dissipated completes their sum: less than
     nothing of it is energy that came out of nothing, or that walls in motion put in."""
-    time = diagnostics["time"]
-    values = {name: diagnostics[name] for name in ("kinetic", "strain", "potential", "dissipated")}
-    values["potential"] = values["potential"] - values["potential"][0]
-    largest = max(np.nanmax(np.abs(value), initial=0.0) for value in values.values())
-    return tuple((name, time, value) for name, value in values.items() if np.ptp(value) > STEADY * largest)
+    values = {name: diagnostics[name] for name in ENERGIES if name in diagnostics}
+    if "potential" in values:
+        values["potential"] = values["potential"] - values["potential"][0]
+    largest = max((np.nanmax(np.abs(value), initial=0.0) for value in values.values()), default=0.0)
+    return tuple(
+        (name, diagnostics["time"], value) for name, value in values.items() if np.ptp(value) > STEADY * largest
+    )
 
 
 def columns(diagnostics, prefix):

@@ -87,6 +87,16 @@ class Run:
         return Scene.from_toml(self.path / SCENE)
 
     @property
+    def table(self):
+        """What scene.toml says, defaults filled in, as nested dicts of plain values: of any scene, of Python functions too.
+        OutputError where it cannot be read."""
+        path = self.path / SCENE
+        try:
+            return tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise OutputError(f"{path} cannot be read: {error}") from error
+
+    @property
     def snapshots(self):
         """The snapshots written so far, in order: a sequence of `Snapshot`."""
         return Snapshots(snapshot_files(self.path))

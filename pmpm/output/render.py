@@ -16,6 +16,7 @@ from pmpm.output.files import OutputError, unfinished_name
 from pmpm.output.pictures import figure_class, plain, save
 from pmpm.output.progress import LINE_INTERVAL
 from pmpm.output.reader import load, reading
+from pmpm.output.run_directory import SCENE
 
 STILLS, FILMS = (".png", ".pdf", ".svg"), (".gif", ".mp4")
 MOST = 200_000  # particles of a picture: of more every n-th is drawn
@@ -57,7 +58,10 @@ def render(path, field=None, number=-1, file=None, quiet=False):
         raise OutputError(f"{path}: no snapshot {number}: {there}")
     Figure = figure_class("pmpm render")  # noqa: N806
     chosen = list(snapshots) if kind in FILMS else [snapshots[number]]
-    view = view_of(run.scene, chosen, field)
+    try:
+        view = view_of(run.table, chosen, field)
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
+        raise OutputError(f"{Path(path) / SCENE} is damaged: {' '.join(str(error).split())}") from error
     try:
         if kind in FILMS:
             film(Figure, view, chosen, file, quiet)
@@ -72,19 +76,20 @@ def render(path, field=None, number=-1, file=None, quiet=False):
 
 
 def view_of(scene, snapshots, field):
-    """The View of some snapshots of a scene, coloured by a field of theirs."""
-    dim = scene.dim
-    up = int(np.argmax(np.abs(scene.domain.gravity))) if any(scene.domain.gravity) else dim - 1
+    """The View of some snapshots of a scene (see reader.Run.table), coloured by a field of theirs."""
+    domain = scene["domain"]
+    dim, gravity = len(domain["size"]), domain["gravity"]
+    up = int(np.argmax(np.abs(gravity))) if any(gravity) else dim - 1
     order = (*(axis for axis in range(dim) if axis != up), up)
     field = field or next((name for name in PREFERRED if name in snapshots[0].fields), "id")
     low, high = range_of(snapshots, field)
-    spacing = scene.domain.cell_size / min(body.particles_per_cell for body in scene.bodies) ** (1.0 / dim)
+    spacing = domain["cell_size"] / min(body["particles_per_cell"] for body in scene["bodies"]) ** (1.0 / dim)
     unit = UNITS.get(field, "-")
     name = "speed" if field == "velocity" else field.replace("_", " ")
     return View(
-        scene.title, np.array(scene.domain.size), order if dim == 3 else (0, 1), spacing, field,
+        scene.get("title", ""), np.array(domain["size"]), order if dim == 3 else (0, 1), spacing, field,
         f"{name} ({unit})" if unit != "-" else name, (low, high),
-        tuple(scene.materials) if field == "material" else (),
+        tuple(scene["materials"]) if field == "material" else (),
     )  # fmt: skip
 
 

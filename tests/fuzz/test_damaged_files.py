@@ -223,6 +223,24 @@ def test_a_run_with_other_texts_is_described_or_refused(copies):
     assert problems(made) == []
 
 
+@pytest.mark.parametrize("command", ["plot", "render"])
+def test_a_run_with_other_texts_is_drawn_or_refused(command, run, copies):
+    record, whole = json.loads((run / "run.json").read_text(encoding="utf-8")), copies()
+    phases = [json.dumps(record | {"report": {"seconds_per_phase": value}}) for value in OTHER_VALUES]
+    cell = (run / "scene.toml").read_text(encoding="utf-8")
+    sizes = [cell.replace("cell_size = 0.02", f"cell_size = {value}") for value in ("0.0", '"x"', "nan", "[]", "1e400")]
+    texts = TEXTS | {"run.json": (*TEXTS["run.json"], *phases), "scene.toml": (*TEXTS["scene.toml"], *sizes)}
+    for name, variants in texts.items():
+        before = (whole / name).read_bytes() if (whole / name).exists() else None
+        for text in variants:
+            (whole / name).write_bytes(text.encode("latin-1"))
+            assert main([command, str(whole)]) in (0, 2), (name, text[:60])
+        if before is None:
+            (whole / name).unlink()
+        else:
+            (whole / name).write_bytes(before)
+
+
 def test_a_run_with_other_words_in_its_record_is_described_or_refused(run, copies):
     record, made = json.loads((run / "run.json").read_text(encoding="utf-8")), []
     for key in record:

@@ -51,7 +51,7 @@ def drawn(folder, field=None, number=-1):
     """(view, figure) of a snapshot."""
     run = pmpm.load(folder)
     snapshot = run.snapshots[number]
-    view = render.view_of(run.scene, [snapshot], field)
+    view = render.view_of(run.table, [snapshot], field)
     figure = Figure()
     render.draw(figure, view, snapshot)
     return view, figure
@@ -154,3 +154,30 @@ def test_without_matplotlib_it_says_what_to_install(flat, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert main(["render", str(flat)]) == 2
     assert "pip install 'pmpm[viz]'" in capsys.readouterr().err
+
+
+def test_a_run_with_python_functions_is_drawn_too(flat, tmp_path):
+    """Its scene cannot be made again from the file alone."""
+    (tmp_path / "run").mkdir()
+    for path in flat.rglob("*.*"):
+        if path.is_file() and path.suffix in (".toml", ".json", ".csv", ".hdf"):
+            (tmp_path / "run" / path.relative_to(flat)).parent.mkdir(exist_ok=True)
+            (tmp_path / "run" / path.relative_to(flat)).write_bytes(path.read_bytes())
+    scene = tmp_path / "run" / "scene.toml"
+    scene.write_text('body_force = "python:push:0123456789ab"\n' + scene.read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(pmpm.SceneError, match="Python function"):
+        _ = pmpm.load(tmp_path / "run").scene
+    for command in ("plot", "render"):
+        assert main([command, str(tmp_path / "run")]) == 0
+        assert (tmp_path / "run" / f"{command}.png").exists()
+
+
+def test_a_scene_file_that_cannot_be_read_is_named(flat, tmp_path, capsys):
+    (tmp_path / "run.json").write_bytes((flat / "run.json").read_bytes())
+    (tmp_path / "snapshots").mkdir()
+    (tmp_path / "snapshots" / "000000.hdf").write_bytes((flat / "snapshots" / "000000.hdf").read_bytes())
+    assert main(["render", str(tmp_path)]) == 2
+    assert "scene.toml cannot be read" in capsys.readouterr().err
+    (tmp_path / "scene.toml").write_text("[domain]\nsize = [1.0, 1.0]", encoding="utf-8")
+    assert main(["render", str(tmp_path)]) == 2
+    assert "scene.toml is damaged" in capsys.readouterr().err
