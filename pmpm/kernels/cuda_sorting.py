@@ -24,23 +24,24 @@ COUNTERS = DIGITS * THREADS
 TILE = 2 * REACH + 1  # nodes
 
 
+def tiling(middles, rows):
+    """(cells of a tile, tiles of a layer, tiles along a row) of layers of so many home nodes along middle and row."""
+    along = (rows + TILE - 1) // TILE
+    return min(middles, TILE) * min(rows, TILE), (middles + TILE - 1) // TILE * along, along
+
+
 def key_of(layer, body, middle, row, bodies, middles, rows):
     """The number of a home node's cell among all: by layer, body, tile, then cell of the tile. middles and rows: of a layer."""
-    tiles_of_row = (rows + TILE - 1) // TILE
-    tiles = (middles + TILE - 1) // TILE * tiles_of_row
-    tile = middle // TILE * tiles_of_row + row // TILE
-    cell = middle % TILE * min(rows, TILE) + row % TILE
-    return ((layer * bodies + body) * tiles + tile) * (min(middles, TILE) * min(rows, TILE)) + cell
+    cells, tiles, along = tiling(middles, rows)
+    tile = middle // TILE * along + row // TILE
+    return ((layer * bodies + body) * tiles + tile) * cells + middle % TILE * min(rows, TILE) + row % TILE
 
 
 def home_of(key, middles, rows):
     """(middle, row) of a key's home node."""
-    of_row = min(rows, TILE)
-    cells = min(middles, TILE) * of_row
-    tiles_of_row = (rows + TILE - 1) // TILE
-    tiles = (middles + TILE - 1) // TILE * tiles_of_row
-    tile, cell = key // cells % tiles, key % cells
-    return tile // tiles_of_row * TILE + cell // of_row, tile % tiles_of_row * TILE + cell % of_row
+    cells, tiles, along = tiling(middles, rows)
+    tile, cell, of_row = key // cells % tiles, key % cells, min(rows, TILE)
+    return tile // along * TILE + cell // of_row, tile % along * TILE + cell % of_row
 
 
 def find_homes(
@@ -194,7 +195,7 @@ def gather_fields(places, rows, old_blocks, order, keys, info, blocks, nodes, fi
     if block < blocks:
         here = info[block, 4]
         k = info[block, 5] + min(lane, here - 1)
-        slot, middle, row = order[k], 0, 0
+        slot = order[k]
         middle, row = home_of(keys[k], nodes[1], nodes[2])
         for f in range(first_field, last_field):
             value = places[slot >> 4, f, slot & 15] if slot < 16 * old_blocks else rows[slot - 16 * old_blocks, f]

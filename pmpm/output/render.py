@@ -22,6 +22,7 @@ STILLS, FILMS = (".png", ".pdf", ".svg"), (".gif", ".mp4")
 MOST = 200_000  # particles of a picture: of more every n-th is drawn
 WIDTH, LEAST, DPI = 8.0, 3.0, 130  # inches, and dots per inch
 FRAMES_PER_SECOND = 15
+COLOURS = 10  # of materials: then they begin anew
 PREFERRED = "speed", "velocity", "pressure", "material"
 CAMERA = {"elev": 18.0, "azim": -62.0}
 
@@ -134,7 +135,8 @@ def draw(figure, view, snapshot):
     axes = figure.add_subplot(projection=None if two else "3d")
     style: dict[str, Any] = {"linewidths": 0, "rasterized": True}
     if view.materials:
-        style |= {"cmap": "tab10", "vmin": -0.5, "vmax": 9.5}
+        style |= {"cmap": "tab10", "vmin": -0.5, "vmax": COLOURS - 0.5}
+        values = values % COLOURS
     else:
         style |= {"cmap": "viridis", "vmin": view.limits[0], "vmax": view.limits[1]}
     columns = [x[:, axis] for axis in view.order]
@@ -157,7 +159,7 @@ def draw(figure, view, snapshot):
     points = axes.scatter(*columns, c=values, s=marker_area(view, every), **style)
     if view.materials:
         for place, name in enumerate(view.materials):
-            axes.scatter(*[[] for _ in view.order], color=points.cmap(points.norm(place)), label=name, s=20)
+            axes.scatter(*[[] for _ in view.order], color=points.cmap(points.norm(place % COLOURS)), label=name, s=20)
         axes.legend(fontsize=8, frameon=False, loc="upper right")
     else:
         colours = figure.colorbar(points, ax=axes, shrink=0.8, pad=0.02 if two else 0.1)

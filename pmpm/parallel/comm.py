@@ -24,7 +24,10 @@ class Alone:
     """One process that is the whole world: every reduction is the identity."""
 
     rank, size = 0, 1
-    reaches_cards = False  # whether messages may lie in the memory of graphics cards
+
+    def reaches_cards(self):
+        """Whether messages may lie in the memory of graphics cards. Collective."""
+        return False
 
     def exchange(self, sends, receives):
         """Ready messages that are sent again and again: `sends` and `receives` are lists of (peer, tag, contiguous array of
@@ -128,9 +131,8 @@ class World:
         self.mpi, self.communicator = MPI, communicator
         self.rank, self.size = communicator.rank, communicator.size
 
-    @property
     def reaches_cards(self):
-        """Whether this MPI takes arrays of graphics cards: PMPM_HALO = card or host says so, else the MPI. Collective."""
+        """PMPM_HALO = card or host says so, else the MPI."""
         said = os.environ.get("PMPM_HALO")
         mine = said == "card" if said else asked_for_cards(self.mpi)
         return all(self.gather(mine))

@@ -121,16 +121,12 @@ class Halo:
         incoming = *self.as_earlier, *self.as_later
         sends = [(peer, tag, message.used) for peer, tag, message, _ in (*self.sums, *self.unsummed)]
         receives = [(peer, tag, message.bytes) for peer, tag, message, *_ in incoming]
-        sizes = [(peer, len(sent)) for peer, _, sent in sends]
         if values is not None:
             sends = [(peer, tag, message.head) for peer, tag, message, _ in self.sums]
-            sizes = [(peer, len(head)) for peer, _, head in sends]
-            for (peer, tag, _, _), array in zip(self.sums, values, strict=True):
-                sends.append((peer, self.tags + tag, array))
-                sizes.append((peer, array.nbytes))
+            sends += [(peer, self.tags + tag, array) for (peer, tag, *_), array in zip(self.sums, values, strict=True)]
             receives += [(peer, self.tags + tag, array) for (peer, tag, *_), array in zip(incoming, rooms, strict=True)]
         # What goes round a periodic axis to this rank itself is no message.
-        to_others = [size for peer, size in sizes if peer != self.comm.rank]
+        to_others = [array.nbytes for peer, _, array in sends if peer != self.comm.rank]
         self.each_time = np.array([len(to_others), sum(to_others)])
         self.exchange = self.comm.exchange(sends, receives)
 

@@ -13,6 +13,7 @@ import numpy as np
 from pmpm.kernels import targets
 from pmpm.kernels.needs import law_needs
 from pmpm.physics import tensors2, tensors3
+from pmpm.physics.invariants import von_mises
 from pmpm.point.paths import NORMAL, SHEAR, VOLUME, pattern
 
 EPS = float(np.finfo(float).eps)
@@ -146,13 +147,13 @@ class Point:
         """Numbers of the present state by name."""
         sigma = self.sigma
         p = -float(np.trace(sigma)) / 3.0
-        deviator = sigma + p * np.eye(3)
         found = {"step": step, "time": self.time, "strain": strain}
         found |= {f"strain_{AXES[i]}{AXES[i]}": float(self.strain[i]) for i in range(self.dim)}
         pairs = ((0, 1),) if self.dim == 2 else ((0, 1), (1, 2), (0, 2))
         found |= {f"gamma_{AXES[i]}{AXES[j]}": float(self.shear[i, j]) for i, j in pairs}
         found |= {f"stress_{name}": float(sigma[tuple(map(AXES.index, name))]) for name in STRESSES[self.dim]}
-        found |= {"p": p, "q": math.sqrt(1.5 * float((deviator * deviator).sum()))}
+        xx, yy, zz = map(float, np.diag(sigma))
+        found |= {"p": p, "q": von_mises(xx, yy, zz, *(float(sigma[pair]) for pair in ((0, 1), (1, 2), (0, 2))))}
         found["J"] = self.call("volume_ratio", self.state)
         return found | {name: value for name, value in zip(self.state_names, self.state, strict=True) if name != "J"}
 

@@ -40,7 +40,7 @@ def take(comm):
     free = min(card["free"] for card in cards)
     text = f"{len(cards)} of {', '.join(names)}, {estimate.amount(free)} free on each"
     if comm.size > 1:
-        text += f"; shared planes go {'from card to card' if comm.reaches_cards else 'by way of the host'}"
+        text += f"; shared planes go {'from card to card' if comm.reaches_cards() else 'by way of the host'}"
     return Cards(text, free, warning)
 
 

@@ -51,7 +51,7 @@ class Cuda:
         self.being_read: list = []  # arrays of the host that the card may not have copied yet
         self.host_rooms: list = []  # for messages, and how many of them the patch has got
         self.given = 0
-        self.direct = simulation.comm.reaches_cards
+        self.direct = simulation.comm.reaches_cards()
         laws = len(simulation.needs.laws)
         self.tables = [self.card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
         self.limits, self.ends = self.card.to_device(simulation.limits), self.card.to_device(simulation.ends)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pmpm.kernels.cuda_sorting import BITS, DIGITS, ITEMS, TILE, home_of, key_of
+from pmpm.kernels.cuda_sorting import BITS, DIGITS, ITEMS, TILE, home_of, key_of, tiling
 from pmpm.kernels.places import FORMATS
 from pmpm.kernels.sorting import SEGMENT_COLUMNS
 from pmpm.state.memory import room
@@ -25,12 +25,8 @@ class OnCard:
 
     def __init__(self, processor, law):
         simulation = processor.simulation
-        self.processor, self.memory, self.kernels, self.law = (
-            processor,
-            processor.memory,
-            processor.on_card.sorting,
-            law,
-        )
+        self.processor, self.memory, self.law = processor, processor.memory, law
+        self.kernels = processor.on_card.sorting
         self.real, self.size = np.dtype(simulation.real), simulation.layouts[law].size
         self.form, self.bodies, self.dim = FORMATS[self.real], len(simulation.scene.bodies), simulation.dim
         geometry = simulation.geometry
@@ -40,10 +36,7 @@ class OnCard:
         self.driven = simulation.needs.driven
         rest = np.ascontiguousarray(simulation.pad_values(simulation.layouts[law]))
         self.rest = processor.card.to_device(rest.view(self.form.integer))
-        _, middles, rows = self.nodes
-        self.cells = min(middles, TILE) * min(rows, TILE)
-        self.tiles_of_row = -(-rows // TILE)
-        self.tiles = -(-middles // TILE) * self.tiles_of_row
+        self.cells, self.tiles, self.tiles_of_row = tiling(*self.nodes[1:])
         self.blocks, self.capacity = 0, -1
         self.population: Any = None  # until the first is taken
 

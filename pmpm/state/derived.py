@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from pmpm.kernels import targets
-from pmpm.physics import stability
+from pmpm.physics import invariants, stability
 
 MASS, VOLUME0, DENSITY, PARAMETERS = 0, 1, 2, 3  # columns of a law's table, one row per body
 
@@ -94,9 +94,8 @@ class DerivedFields:
         return -(sigma[:, 0] + sigma[:, 1] + sigma[:, 2]) / self.real(3.0)
 
     def von_mises_stress(self):
-        sigma = self.stress()
-        normal = sigma[:, :3] + self.pressure()[:, None]
-        return np.sqrt(self.real(1.5) * (normal * normal + 2 * sigma[:, 3:] * sigma[:, 3:]).sum(axis=1))
+        with np.errstate(all="ignore"):
+            return self.target.compile(invariants.von_mises)(*self.stress().T)
 
     def deformation_gradient(self):
         """(n, 9) F row by row, plane strain completed by F_zz = 1; nan where the law keeps none."""

@@ -83,11 +83,11 @@ def test_all_ranks_hear_where_a_card_is_missing(driver):
         cards.take(Ranks(1, ["a", "b"]))
 
 
-def test_the_way_of_shared_planes_is_told(driver, monkeypatch):
+def test_the_way_of_shared_planes_is_told(driver):
     driver()
     ranks = Ranks(0, ["a", "b"])
     assert "by way of the host" in cards.take(ranks).text
-    ranks.reaches_cards = True
+    ranks.reaches_cards = lambda: True
     assert "from card to card" in cards.take(ranks).text
     assert "shared planes" not in cards.take(Alone()).text
 

@@ -7,38 +7,27 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from law_examples import EXAMPLES
 
 import pmpm
 from pmpm.cli import main
 from pmpm.output import plot
-
-SCENE = """
-[domain]
-size = [0.4, 0.4]
-cell_size = 0.05
-gravity = [0.0, -10.0]
-[time]
-end = 0.05
-[materials.m]
-model = "neo_hookean"
-density = 1000.0
-youngs_modulus = 1e5
-poisson_ratio = 0.3
-[[bodies]]
-material = "m"
-shape = { type = "box", min = [0.1, 0.2], max = [0.2, 0.3] }
-velocity = [0.5, 0.0]
-[output]
-snapshot_interval = 0.01
-diagnostics_interval = 0.002
-"""
 
 
 @pytest.fixture(scope="module")
 def falling(tmp_path_factory):
     """The folder of a run of a block that flies and falls freely."""
     folder = tmp_path_factory.mktemp("plot")
-    (folder / "falling.toml").write_text(SCENE, encoding="utf-8")
+    scene = pmpm.Scene(
+        domain={"size": [0.4, 0.4], "cell_size": 0.05, "gravity": [0.0, -10.0]},
+        time={"end": 0.05},
+        materials={"m": EXAMPLES["neo_hookean"] | {"density": 1000.0, "youngs_modulus": 1e5}},
+        bodies=[
+            {"material": "m", "shape": {"type": "box", "min": [0.1, 0.2], "max": [0.2, 0.3]}, "velocity": [0.5, 0.0]}
+        ],
+        output={"snapshot_interval": 0.01, "diagnostics_interval": 0.002},
+    )
+    (folder / "falling.toml").write_text(scene.to_toml(), encoding="utf-8")
     assert main(["run", str(folder / "falling.toml"), "--out", str(folder / "falling"), "--quiet"]) == 0
     return folder / "falling"
 
