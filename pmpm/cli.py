@@ -183,7 +183,7 @@ def read_scene(options, comm):
     path, text, problem = comm.broadcast((path, text, problem))
     if problem:
         raise SceneError(problem)
-    return Scene.from_text(text, str(path), settings(options))
+    return Scene.from_text(text, str(path), settings(options), path.parent)
 
 
 def settings(options):

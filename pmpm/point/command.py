@@ -129,7 +129,9 @@ def scene_material(scene_name, name, settings, dimension):
     if name not in names:
         what = "needs --material" if name is None else f"--material {name}: is not one of the scene"
         raise SceneError(f"{path}: {what}; {known_text(name or '', names, 'its materials are')}")
-    scene = Scene.from_text(text, str(path), {f'materials."{name}".{key}': value for key, value in settings.items()})
+    scene = Scene.from_text(
+        text, str(path), {f'materials."{name}".{key}': value for key, value in settings.items()}, path.parent
+    )
     material = scene.materials[name]
     dim = dimension or scene.dim
     return material.model, material.complete(dim).parameters, dim, {}

@@ -55,8 +55,9 @@ def value_text(value: Any) -> str:
 
 
 def cut_short(text: str) -> str:
-    """Cut a text that would fill the screen."""
-    return text if len(text) <= WIDTH else text[: WIDTH - 4] + " ..."
+    """Cut a text that would fill the screen, and write what is no visible character as an escape."""
+    text = text if len(text) <= WIDTH else text[: WIDTH - 4] + " ..."
+    return "".join(letter if letter.isprintable() else json.dumps(letter)[1:-1] for letter in text)
 
 
 def literal(value: Any) -> str:

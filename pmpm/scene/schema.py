@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, ValidationError, field_serializer, 
 
 from pmpm.kernels.needs import STENCILS, TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
-from pmpm.scene import files, forcing, geostatic, start
+from pmpm.scene import files, forcing, geostatic, outside, start
 from pmpm.scene.exact import Exact, wrong_exact
 from pmpm.scene.functions import Unfit
 from pmpm.scene.geostatic import Geostatic
@@ -357,28 +357,45 @@ class Scene(Part):
     parallel: Parallel = Field(default=Parallel(), description="table of how the domain is shared out among ranks")
 
     @classmethod
-    def from_text(cls, text: str, source: str = "scene", overrides: Mapping[str, Any] | None = None) -> "Scene":
-        """Read a scene from TOML text; `source` is what messages call it, `overrides` are dotted keys and values."""
-        return cls.from_table(files.parse_toml(text, source), source, overrides)
+    def from_text(
+        cls,
+        text: str,
+        source: str = "scene",
+        overrides: Mapping[str, Any] | None = None,
+        folder: str | Path | None = None,
+    ) -> "Scene":
+        """Read a scene from TOML text; `source` is what messages call it, `overrides` are dotted keys and values.
+
+        Relative paths of other files count from `folder`, or from the working directory if it is None.
+        """
+        return cls.from_table(files.parse_toml(text, source), source, overrides, folder)
 
     @classmethod
-    def from_table(cls, table: dict[str, Any], source: str, overrides: Mapping[str, Any] | None = None) -> "Scene":
+    def from_table(
+        cls,
+        table: dict[str, Any],
+        source: str,
+        overrides: Mapping[str, Any] | None = None,
+        folder: str | Path | None = None,
+    ) -> "Scene":
         """Read a scene from the nested tables of a TOML text, which overrides change in place."""
         overridden = files.override(table, overrides or {}, source)
         try:
-            return cls.model_validate(table)
+            with outside.beside(None if folder is None else Path(folder)):
+                return cls.model_validate(table)
         except ValidationError as error:
             raise scene_error(error.errors(include_url=False), source, overridden) from None
 
     @classmethod
     def from_toml(cls, path: str | Path, overrides: Mapping[str, Any] | None = None) -> "Scene":
         """Read a scene file; `overrides` such as {"time.end": 0.5, "bodies.0.velocity": [1, 0]} are set on top."""
-        return cls.from_text(files.read_text(path), str(path), overrides)
+        return cls.from_text(files.read_text(path), str(path), overrides, Path(path).parent)
 
     @classmethod
     def builtin(cls, name: str, overrides: Mapping[str, Any] | None = None) -> "Scene":
         """Read one of the scenes that come with pmpm."""
-        return cls.from_text(files.read_text(files.builtin_path(name)), name, overrides)
+        path = files.builtin_path(name)
+        return cls.from_text(files.read_text(path), name, overrides, path.parent)
 
     @property
     def dim(self) -> int:

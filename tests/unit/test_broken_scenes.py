@@ -4,6 +4,7 @@ import pytest
 from broken_scenes import BROKEN, GOOD, GOOD_3D, NOT_BUILT, change
 
 from pmpm.scene.errors import NotBuilt, SceneError
+from pmpm.scene.files import parse_setting
 from pmpm.scene.schema import Scene
 
 
@@ -71,6 +72,12 @@ def test_a_mistake_beside_something_not_built_is_a_mistake():
 
 def test_a_long_value_is_cut_short():
     assert len(complaint(change('"apic"', f'"{"a" * 1000}"'))) < 200
+
+
+def test_a_setting_of_several_lines_is_told_in_one():
+    with pytest.raises(SceneError) as raised:
+        parse_setting('=type = "union"\n\n[[v.of]]')
+    assert "\n" not in str(raised.value)
 
 
 def test_a_missing_file_is_named(tmp_path):
