@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from pmpm.collision import Obstacle, unit_of_momentum
 from pmpm.kernels.lanes import WIDTH
 from pmpm.scene.forcing import velocity_at
 
@@ -96,6 +95,8 @@ def obstacles_of(scene, needs, tables, real):
     """The colliders of a scene."""
     if not scene.colliders:
         return []
+    from pmpm.collision import Obstacle, unit_of_momentum
+
     unit = unit_of_momentum(scene, needs, tables)
     return [Obstacle(collider, scene, real, unit) for collider in scene.colliders]
 

@@ -46,6 +46,9 @@ def driven():
         body_force=push,
         loads=[{"shape": {"type": "box", "min": low, "max": [0.2, 0.2]}, "acceleration": [5.0, 1.0]}],
         motions=[{"shape": {"type": "box", "min": [0.3, 0.5], "max": [0.5, 0.8]}, "velocity": [0.0, -1.0]}],
+        colliders=[
+            {"shape": {"type": "sphere", "center": [0.4, 0.1], "radius": 0.15}, "angular_velocity": 90.0, "cut": False}
+        ],
     )
 
 

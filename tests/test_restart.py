@@ -107,13 +107,20 @@ def driven():
         bodies=[several_laws.block("rubber", [0.1, 0.0], [1.0, 0.3], [1.0, 0.0], 4)],
         loads=[{"shape": {"type": "box", "min": [0.4, 0.1], "max": [0.8, 0.2]}, "force": [20.0, 60.0]}],
         motions=[{"shape": {"type": "box", "min": [0.2, 0.25], "max": [0.9, 0.5]}, "velocity": [0.4, -0.2]}],
+        colliders=[{"shape": PADDLE, "surface": "stick", "velocity": [-0.2, 0.0], "angular_velocity": 90.0}],
     )
+
+
+PADDLE = {"type": "box", "min": [0.9, 0.05], "max": [1.1, 0.15]}
 
 
 def test_what_drives_from_outside_goes_on_where_it_was(tmp_path):
     through, resumed = interrupted(driven(), tmp_path / "a.hdf", 60, 60)
     assert resumed.drive.regions[0].travelled.any()
     assert bits_of(resumed) == bits_of(through)
+    one, other = through.drive.obstacles[0].state(through.comm), resumed.drive.obstacles[0].state(resumed.comm)
+    assert all(one["impulse"])
+    assert one == other
 
 
 def test_lanes_that_hold_no_particle_have_no_part_in_the_next_regroup(tmp_path):

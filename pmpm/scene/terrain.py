@@ -38,7 +38,8 @@ class HeightMap:
 
         Bilinear between samples; level beyond the map's edge.
         """
-        cells = places / np.array(self.spacing)
+        with np.errstate(over="ignore"):  # spacings so small that everything lies beyond
+            cells = places / np.array(self.spacing)
         last = np.array(self.heights.shape) - 1
         inside = np.clip(cells, 0.0, last)
         first = np.minimum(inside.astype(np.int64), np.maximum(last - 1, 0))
@@ -315,12 +316,14 @@ def read_tif(path: str) -> tuple[np.ndarray, tuple[float, ...]]:
     except ImportError:
         raise Unreadable("needs tifffile to be read: pip install 'pmpm[terrain]'") from None
     with tifffile.TiffFile(path) as file:
-        page = file.pages[0]
+        page: Any = file.pages[0]
         values, scale = page.asarray(), page.tags.get("ModelPixelScaleTag")
         missing = page.tags.get("GDAL_NODATA")
-    if scale is None:
+        size = None if scale is None else tuple(float(length) for length in scale.value[:2])
+        absent = None if missing is None else float(missing.value)
+    if size is None:
         raise Unreadable("does not tell the size of its pixels (ModelPixelScaleTag): no GeoTIFF")
     values = np.array(values, np.float64)
-    if missing is not None:
-        values[values == float(missing.value)] = np.nan
-    return values, (float(scale.value[0]), float(scale.value[1]))
+    if absent is not None:
+        values[values == absent] = np.nan
+    return values, size

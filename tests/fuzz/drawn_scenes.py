@@ -4,12 +4,17 @@ A good scene is a row of fast_and_scalar, so that its kernels are those that oth
 at random. A few rows may have what needs kernels of its own: loads and damping.
 """
 
+import atexit
 import copy
 import math
+import shutil
+import tempfile
 import typing
 from dataclasses import dataclass
+from pathlib import Path
 
 import fast_and_scalar as agreement
+import numpy as np
 import tomli_w
 from hypothesis import strategies as st
 from pydantic import BaseModel
@@ -19,6 +24,7 @@ from pmpm.physics.materials import LAWS, law_of
 from pmpm.scene.exact import Exact
 from pmpm.scene.materials import MODELS
 from pmpm.scene.materials import material as make_material
+from pmpm.scene.outside import checksum
 from pmpm.scene.schema import Scene
 from pmpm.scene.shapes import SHAPES
 from pmpm.state.fields import OUTPUT_NAMES
@@ -28,7 +34,11 @@ OWN_KERNELS = [next(row for row in ROWS if row["dim"] == dim) for dim in (2, 3)]
 ELASTIC = ("neo_hookean", "hencky", "fixed_corotated")
 CELL_SIZES = (0.05, 1e-3, 20.0)
 # Functions, which only Python gives.
-NEVER_IN_A_FILE = {("Scene", key) for key in ("body_force", "exact")} | {("Exact", key) for key in Exact.model_fields}
+NEVER_IN_A_FILE = (
+    {("Scene", key) for key in ("body_force", "exact")}
+    | {("Collider", "distance"), ("Terrain", "depth_checksum")}
+    | {("Exact", key) for key in Exact.model_fields}
+)
 # Other ways to give the materials of law_examples: what they say differently.
 OTHERWISE = {
     "fluid": ({"bulk_modulus": None, "sound_speed": 1.0}, {"bulk_modulus": None, "flow_speed": 0.1}),
@@ -92,6 +102,8 @@ def scenes(draw, row=None, telling=0):
         table["loads"] = draw(st.lists(load(bodies, dim), min_size=1, max_size=2))
     if draw(st.booleans()):
         table["motions"] = [draw(motion(cells, h)) for _ in range(draw(st.integers(0, 2)))]
+    if draw(st.booleans()):
+        table["colliders"] = [draw(collider(cells, h, number)) for number in range(draw(st.integers(0, 2)))]
     if draw(st.booleans()):
         table["guard"] = {"keep_copy": draw(st.booleans()), "interval": draw(st.sampled_from((1, 2, 100)))}
         table["guard"]["energy_gain"] = draw(st.sampled_from((0.0, 0.5, 1e300)))
@@ -213,7 +225,7 @@ def shape(draw, cells, long, half, dim):
 
 def in_metres(table, h):
     """A shape given in cells, in metres."""
-    lengths = ("min", "max", "center", "radius", "height")
+    lengths = ("min", "max", "center", "radius", "height", "start", "end", "point")
     return {
         key: scaled(value, h) if key in lengths else [in_metres(s, h) for s in value] if key == "of" else value
         for key, value in table.items()
@@ -266,6 +278,53 @@ def motion(draw, cells, h):
         "velocity": draw(vectors(-0.1, 0.1, len(cells))),
         "moves": draw(maybe(st.booleans())),
     }
+
+
+@st.composite
+def collider(draw, cells, h, number):
+    """Small or below everything, so that bodies keep particles."""
+    dim = len(cells)
+    center = [draw(between(0.0, float(count))) for count in cells]
+    up = [0.0] * (dim - 1) + [1.0]
+    low = [x - 0.8 for x in center]
+    ground = {"first_row": "south", "spacing": [4.0 * h] * draw(st.integers(1, 2)), "variable": "z"}
+    ground |= {"origin": [0.0] * (dim - 1) + [0.1 * h], "checksum": MAP_CHECKSUMS[dim]}
+    shapes = [
+        {"type": "sphere", "center": center, "radius": 1.0},
+        {"type": "capsule", "start": center, "end": [x + 0.5 for x in center], "radius": 0.7},
+        {"type": "box", "min": low, "max": [x + 0.8 for x in center]},
+        {"type": "plane", "point": [0.3] * dim, "normal": up},
+        {"type": "terrain", "file": MAPS[dim]} | ground,
+        {"type": "intersection", "of": [{"type": "plane", "point": low, "normal": up}, {"type": "terrain", "file": MAPS[dim]}
+            | ground | {"depth": 0.5 * h, "least_depth": 0.0}]},
+    ]  # fmt: skip
+    slow, kind = vectors(-0.05, 0.05, dim), draw(st.sampled_from(("velocity", "path", "rests")))
+    times = sorted(draw(st.sets(st.integers(0, 10), min_size=1, max_size=3)))
+    return {
+        "name": draw(maybe(st.just(f"thing_{number}"))),
+        "shape": in_metres(draw(st.sampled_from(shapes)), h),
+        "surface": draw(
+            maybe(st.sampled_from(("stick", "slip", "separate", {"type": "friction", "coefficient": 0.4})))
+        ),
+        "cut": draw(maybe(st.booleans())),
+        "pivot": draw(maybe(st.just(scaled(center, h)))),
+        "angular_velocity": draw(maybe(between(-5.0, 5.0) if dim == 2 else vectors(-5.0, 5.0, 3))),
+        "velocity": draw(slow) if kind == "velocity" else None,
+        "path": {"times": times, "displacements": [scaled(draw(slow), h) for _ in times]} if kind == "path" else None,
+    }
+
+
+def write_maps():
+    """{dimensions: (path of a height map of which next to nothing stands out, its checksum)}."""
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for dim in (2, 3):
+        np.savez(folder / f"{dim}.npz", z=np.full((3,) * (dim - 1), 0.0))
+    paths = {dim: str(folder / f"{dim}.npz") for dim in (2, 3)}
+    return paths, {dim: checksum(path) for dim, path in paths.items()}
+
+
+MAPS, MAP_CHECKSUMS = write_maps()
 
 
 @st.composite

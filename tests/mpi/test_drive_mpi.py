@@ -45,6 +45,16 @@ def scene():
         body_force=swaying,
         loads=[{"shape": {"type": "box", "min": [0.4, 0.1], "max": [0.8, 0.2]}, "force": [20.0, 60.0]}],
         motions=[{"shape": {"type": "box", "min": [0.2, 0.25], "max": [0.9, 0.5]}, "velocity": [0.4, -0.2]}],
+        colliders=[
+            {"name": "bump", "shape": {"type": "capsule", "start": [0.3, 0.0], "end": [0.9, 0.05], "radius": 0.05}},
+            {
+                "name": "wheel",
+                "shape": {"type": "box", "min": [0.5, 0.2], "max": [0.7, 0.3]},
+                "surface": {"type": "friction", "coefficient": 0.4},
+                "angular_velocity": 200.0,
+                "velocity": [0.1, 0.0],
+            },
+        ],
     )
 
 

@@ -570,6 +570,58 @@ BROKEN = [
         GOOD + '[parallel]\nslab_axis = "z"\n',
         ['parallel.slab_axis = "z" must be one of x, y in a 2-D scene'],
     ),
+    ("a collider of nothing", GOOD + "[[colliders]]\n", ["colliders[0] must give a shape", "not none"]),
+    (
+        "a collider's surface",
+        GOOD + f'[[colliders]]\nshape = {BOX}\nsurface = "rough"\n',
+        ['colliders[0].surface = "rough"', "stick, slip, separate, friction"],
+    ),
+    (
+        "rubbing without a coefficient",
+        GOOD + f'[[colliders]]\nshape = {BOX}\nsurface = "friction"\n',
+        ["colliders[0].surface", "must give the coefficient"],
+    ),
+    (
+        "a collider that turns in space",
+        GOOD + f"[[colliders]]\nshape = {BOX}\nangular_velocity = [0.0, 0.0, 90.0]\n",
+        ["colliders[0].angular_velocity", "must be one number in 2-D (deg/s)"],
+    ),
+    (
+        "two colliders of a name",
+        GOOD + 2 * f'[[colliders]]\nname = "a"\nshape = {BOX}\n',
+        ['colliders[1].name = "a" is the name of another collider'],
+    ),
+    (
+        "a name that heads no column",
+        GOOD + f'[[colliders]]\nname = "a,b"\nshape = {BOX}\n',
+        ["colliders[0].name", "letters, digits"],
+    ),
+    (
+        "a path back in time",
+        GOOD + f"[[colliders]]\nshape = {BOX}\npath = {{ times = [1.0, 0.5], displacements = [[0, 0], [1, 0]] }}\n",
+        ["colliders[0].path.times[1] = 0.5 s must be later", "1.0 s"],
+    ),
+    (
+        "a path and a velocity",
+        GOOD
+        + f"[[colliders]]\nshape = {BOX}\nvelocity = [1, 0]\npath = {{ times = [1.0], displacements = [[0, 0]] }}\n",
+        ["colliders[0].path excludes a velocity"],
+    ),
+    (
+        "a plane without a normal",
+        GOOD + '[[colliders]]\nshape = { type = "plane", point = [0, 0], normal = [0, 0] }\n',
+        ["colliders[0].shape.normal", "must not be zero"],
+    ),
+    (
+        "a body without an end",
+        change(BOX, '{ type = "plane", point = [0.1, 0.1], normal = [0, 1] }'),
+        ["bodies[0].shape reaches out of the domain", "from -inf to inf m"],
+    ),
+    (
+        "a terrain of no file",
+        GOOD + '[[colliders]]\nshape = { type = "terrain", file = "nowhere.npy", spacing = 1.0 }\n',
+        ['colliders[0].shape.file = "nowhere.npy"', "no such file"],
+    ),
     ("balance as number", GOOD + "[parallel]\nbalance = 1\n", ["parallel.balance", "true or false"]),
     ("title as number", change('title = "good"', "title = 3"), ["title = 3", "text in quotes"]),
 ]
@@ -577,6 +629,5 @@ BROKEN = [
 NOT_BUILT = [
     ("open wall", change('x_min = "slip"', 'x_min = "open"'), ['domain.walls.x_min = "open" is not built yet']),
     ("mesh", change('"box"', '"mesh"'), ['bodies[0].shape.type = "mesh" is not built yet']),
-    ("colliders", GOOD + '[[colliders]]\ntype = "plane"\n', ["colliders = ", "is not built yet"]),
 ]
 BROKEN += NOT_BUILT

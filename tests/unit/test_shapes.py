@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmpm.scene.errors import SceneError
-from pmpm.scene.shapes import Box, Cylinder, Difference, Intersection, Sphere, Union
+from pmpm.scene.shapes import Box, Capsule, Cylinder, Difference, Intersection, Plane, Sphere, Union
 
 BOX = Box(min=[0.1, 0.2], max=[0.5, 0.4])
 DISK = Sphere(center=[0.5, 0.3], radius=0.2)
@@ -14,6 +14,7 @@ BALL = Sphere(center=[0.5, 0.5, 0.5], radius=0.4)
 UPRIGHT = Cylinder(center=[0.5, 0.5, 0.5], axis="z", radius=0.3, height=0.6)
 OBLIQUE = Cylinder(center=[0.5, 0.5, 0.5], axis=[1, 2, 2], radius=0.2, height=0.5)
 LENS = 2 * 0.2**2 * math.acos(0.5) - 0.1 * math.sqrt(4 * 0.2**2 - 0.2**2)  # two disks, radius r, centres r apart
+CAPSULE = Capsule(start=[0.4, 0.4, 0.4], end=[0.6, 0.6, 0.6], radius=0.2)
 OTHER = Sphere(center=[0.7, 0.3], radius=0.2)
 
 SIZES = [
@@ -25,6 +26,9 @@ SIZES = [
     ("intersection", Intersection(of=[DISK, OTHER]), LENS),
     ("union", Union(of=[DISK, OTHER]), 2 * math.pi * 0.2**2 - LENS),
     ("difference", Difference(of=[DISK, OTHER]), math.pi * 0.2**2 - LENS),
+    ("stadium", Capsule(start=[0.3, 0.4], end=[0.6, 0.7], radius=0.1), 0.2 * math.hypot(0.3, 0.3) + math.pi * 0.1**2),
+    ("capsule", CAPSULE, math.pi * 0.2**2 * math.sqrt(0.12) + 4 / 3 * math.pi * 0.2**3),
+    ("cut box", Intersection(of=[BOX, Plane(point=[0.3, 0.3], normal=[1.0, 1.0])]), 0.5 * 0.4 * 0.2),
     (
         "nested",
         Difference(of=[DISK, Union(of=[OTHER, Sphere(center=[0.3, 0.3], radius=0.2)])]),
@@ -48,6 +52,28 @@ def points_for(shape):
 @SHAPES
 def test_the_share_of_points_inside_is_the_size(shape, size):
     assert shape.contains(points_for(shape)).mean() == pytest.approx(size, rel=0.01)
+
+
+@SHAPES
+def test_the_distance_is_negative_where_points_are_inside(shape, size):
+    points = points_for(shape)
+    distance, inside = shape.signed_distance(points), shape.contains(points)
+    apart = np.abs(distance) > 1e-12
+    assert np.array_equal((distance < 0.0)[apart], inside[apart])
+
+
+@pytest.mark.parametrize(
+    "shape", [BOX, DISK, BALL, UPRIGHT, OBLIQUE, CAPSULE, Plane(point=[0.2, 0.1], normal=[3.0, 4.0])]
+)
+def test_a_walk_of_the_distance_towards_a_shape_ends_on_its_surface(shape):
+    points = unit_points(len(shape.bounds()[0]))[::17]
+    steps = 1e-7 * np.eye(points.shape[1])
+    slope = [(shape.signed_distance(points + e) - shape.signed_distance(points - e)) / 2e-7 for e in steps]
+    slope = np.stack(slope, axis=1)
+    smooth = np.abs(np.linalg.norm(slope, axis=1) - 1.0) < 1e-6
+    assert smooth.mean() > 0.97  # all but ridges, where two sides are equally near
+    nearest = points - shape.signed_distance(points)[:, None] * slope
+    assert np.abs(shape.signed_distance(nearest[smooth])).max() < 1e-6
 
 
 @SHAPES

@@ -1,0 +1,191 @@
+"""Colliders: what rests on them weighs its weight, momentum is accounted for, Coulomb holds, and they move as told."""
+
+import math
+
+import numpy as np
+import pytest
+
+import pmpm
+
+RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e5, "poisson_ratio": 0.3}
+SAND = {
+    "model": "drucker_prager",
+    "density": 1600.0,
+    "youngs_modulus": 1e6,
+    "poisson_ratio": 0.3,
+    "friction_angle": 30.0,
+}
+WATER = {"model": "fluid", "density": 1000.0, "sound_speed": 20.0}
+FREE = {2: dict.fromkeys(("x_min", "x_max", "y_min", "y_max"), "free")}
+G = 9.81
+
+
+def simulation(material, boxes, colliders, size=(1.0, 1.0), cell_size=0.05, end=1.0, **time):
+    scene = pmpm.Scene(
+        domain={"size": list(size), "cell_size": cell_size, "gravity": [0.0, -G], "walls": FREE[2]},
+        time={"end": end} | time,
+        materials={"a": material},
+        bodies=[{"material": "a", "shape": shape} for shape in boxes],
+        colliders=colliders,
+    )
+    return pmpm.Simulation(scene)
+
+
+def plane(point, normal, surface="separate", **keys):
+    return {"shape": {"type": "plane", "point": list(point), "normal": list(normal)}, "surface": surface} | keys
+
+
+def box(low, high):
+    return {"type": "box", "min": list(low), "max": list(high)}
+
+
+def momentum(s):
+    return s.particles.mass @ s.particles.v
+
+
+@pytest.mark.parametrize("surface", ["stick", "separate"])
+def test_a_block_at_rest_weighs_its_weight(surface):
+    s = simulation(RUBBER, [box([0.3, 0.3], [0.6, 0.6])], [plane([0.0, 0.3], [0.0, 1.0], surface)], end=2.0, ramp=0.5)
+    weight = s.measure()["mass"] * G
+    s.run(until=1.0)
+    s.mean_forces()
+    s.run()
+    (_, down), (torque,) = s.mean_forces()["collider_0"]
+    assert -down == pytest.approx(weight, rel=1e-2)  # measured 1e-4
+    assert torque == pytest.approx(-down * (0.5 - 0.45), rel=1e-2)  # about the middle of the plane, (0.5, ...)
+
+
+@pytest.mark.parametrize(
+    ("material", "shape", "ball", "velocity"),
+    [
+        (SAND, box([0.1, 0.1], [0.9, 0.4]), [0.6, 0.5], [0.0, -2.0]),  # a sphere driven into sand
+        (WATER, box([0.1, 0.1], [0.4, 0.6]), [0.6, 0.2], [0.0, 0.0]),  # a dam break that meets a ball and a wall
+    ],
+)
+def test_what_colliders_are_given_is_what_the_material_has_lost(material, shape, ball, velocity):
+    walls = [plane([0.1, 0.1], normal) for normal in ([0.0, 1.0], [1.0, 0.0])] + [plane([0.9, 0.1], [-1.0, 0.0])]
+    sphere = {"shape": {"type": "sphere", "center": ball, "radius": 0.1}, "velocity": velocity}
+    s = simulation(material, [shape], [*walls, sphere])
+    mass = s.measure()["mass"]
+    s.run(until=0.2)
+    given = {name: impulse for name, (impulse, _) in s.impulses().items()}
+    total = sum(given.values()) + momentum(s)
+    scale = mass * G * s.time
+    assert np.linalg.norm(given["collider_3"]) > 1e-2 * scale  # the ball has been met
+    assert total == pytest.approx([0.0, -scale], abs=1e-9 * scale)  # issue: 2 %; round-off, measured 1e-12
+
+
+def on_slope(surface, end, speed, terrain=None, cells=4):
+    """(way / that of a rigid block - 1, friction / normal force) of a block that slides down a slope oblique to the grid."""
+    coefficient = surface["coefficient"] if isinstance(surface, dict) else 0.0
+    angle, height = math.radians(24.0), 0.05
+    n, t = np.array([math.sin(angle), math.cos(angle)]), np.array([math.cos(angle), -math.sin(angle)])
+    top = np.array([0.0, 0.7])
+    foot = top + 0.15 * t
+    sides = [(foot, -n), (foot + height * n, n), (foot, -t), (foot + 2.0 * height * t, t)]
+    dx = height / cells
+    size = [math.ceil(length / dx) * dx for length in (1.2, 0.9)]
+    block = {"type": "intersection", "of": [box([0.0, 0.0], size), *(plane(*side)["shape"] for side in sides)]}
+    ground = plane(top, n)["shape"] if terrain is None else terrain(top, math.tan(angle))
+    collider = {"shape": ground, "surface": surface, "cut": False}
+    s = simulation(RUBBER | {"youngs_modulus": 1e6}, [block], [collider], size, dx, end, cfl=0.5)
+    weight = s.measure()["mass"] * G
+    mass = s.particles.mass
+
+    def middle(values):
+        return (mass[:, None] * values).sum(axis=0) / mass.sum()
+
+    s.particles.v = np.tile(speed * t, (len(mass), 1))
+    begin = middle(s.particles.x)
+    s.run()
+    pull = G * (math.sin(angle) - coefficient * math.cos(angle))
+    exact = speed * s.time + 0.5 * pull * s.time**2
+    impulse, _ = s.impulses()["collider_0"]
+    given = -(impulse @ n) / (s.time * weight * math.cos(angle))
+    return (middle(s.particles.x) - begin) @ t / exact - 1.0, given, (impulse @ t) / -(impulse @ n)
+
+
+def profile(tmp_path):
+    def terrain(top, slope):
+        np.save(tmp_path / "slope.npy", np.linspace(top[1], top[1] - 2.0 * slope, 41))
+        return {"type": "terrain", "file": str(tmp_path / "slope.npy"), "spacing": 0.05}
+
+    return terrain
+
+
+@pytest.mark.parametrize("ground", ["plane", "terrain"])
+@pytest.mark.parametrize(
+    "surface", ["slip", "separate", {"type": "friction", "coefficient": math.tan(math.radians(15.0))}]
+)
+def test_a_block_slides_down_an_oblique_slope_as_coulomb_says(surface, ground, tmp_path):
+    wrong, normal, ratio = on_slope(surface, 0.3, 1.0, profile(tmp_path) if ground == "terrain" else None)
+    assert abs(wrong) < 1e-3  # the gate of V7; measured 2e-4 without friction (dt / t), 1e-4 to 6e-4 with
+    assert normal == pytest.approx(1.0, abs=0.02)  # it bounces
+    assert ratio == pytest.approx(surface["coefficient"] if isinstance(surface, dict) else 0.0, abs=1e-3)
+
+
+def test_a_block_that_friction_holds_stays():
+    surface = {"type": "friction", "coefficient": math.tan(math.radians(30.0))}
+    wrong, normal, ratio = on_slope(surface, 0.3, 0.0)
+    way = (
+        (1.0 + wrong)
+        * 0.5
+        * G
+        * (math.sin(math.radians(24.0)) - surface["coefficient"] * math.cos(math.radians(24.0)))
+        * 0.09
+    )
+    assert abs(way) < 0.05 * 0.0125  # of a cell, while it settles; a block on tan 15 has gone 70 mm
+    assert ratio == pytest.approx(math.tan(math.radians(24.0)), abs=0.02)
+
+
+def test_a_collider_that_turns_takes_what_sticks_to_it_along():
+    disk = {"type": "sphere", "center": [0.5, 0.5], "radius": 0.2}
+    s = simulation(
+        RUBBER, [disk], [{"shape": disk, "surface": "stick", "angular_velocity": 90.0, "cut": False}], end=1.0
+    )
+    x = s.particles.x.copy()
+    order = np.argsort(s.particles.id)
+    s.run()
+    later = s.particles.x[np.argsort(s.particles.id)]
+    offset = x[order] - 0.5
+    inner = np.linalg.norm(offset, axis=1) < 0.1  # whose stencils lie inside
+    turned = 0.5 + np.stack([-offset[:, 1], offset[:, 0]], axis=1)
+    assert np.abs(later - turned)[inner].max() < 0.01 * 0.2  # a quarter turn
+    assert s.drive.obstacles[0].turn == pytest.approx(np.array([[0.0, -1.0], [1.0, 0.0]]), abs=1e-12)
+
+
+def test_a_collider_follows_its_path():
+    path = {"times": [0.1, 0.2, 0.4], "displacements": [[0.0, 0.0], [0.1, 0.0], [0.1, -0.2]]}
+    shape, floor = {"type": "sphere", "center": [0.8, 0.8], "radius": 0.05}, plane([0.0, 0.1], [0.0, 1.0])
+    s = simulation(RUBBER, [box([0.1, 0.1], [0.2, 0.2])], [floor, {"shape": shape, "path": path}], end=0.6, step=1e-3)
+
+    for until, where in ((0.1, [0.0, 0.0]), (0.15, [0.05, 0.0]), (0.3, [0.1, -0.1]), (0.6, [0.1, -0.2])):
+        s.run(until=until)
+        assert s.drive.obstacles[1].shift == pytest.approx(where, abs=2.1e-3)  # a step of 1 mm beside each bend
+
+
+def test_a_function_can_be_a_collider():
+    def ground(x, t):
+        return x[:, 1] - 0.3
+
+    s = simulation(RUBBER, [box([0.3, 0.3], [0.6, 0.6])], [{"distance": ground, "surface": "stick"}], end=0.2)
+    same = simulation(RUBBER, [box([0.3, 0.3], [0.6, 0.6])], [plane([0.5, 0.3], [0.0, 1.0], "stick")], end=0.2)
+    s.run()
+    same.run()
+    assert np.abs(s.particles.x - same.particles.x).max() < 1e-9
+
+
+def test_a_fast_collider_does_not_pass_through():
+    paddle = {"shape": box([0.1, 0.2], [0.3, 0.8]), "velocity": [50.0, 0.0]}  # four times as fast as waves
+    s = simulation(RUBBER, [box([0.4, 0.4], [0.6, 0.6])], [paddle], size=(2.0, 1.0), end=0.01)
+    s.run()
+    assert s.measure()["momentum_x"] > 0.5 * s.measure()["mass"] * 50.0
+    assert s.particles.x[:, 0].min() > 0.3 + 50.0 * 0.01 - 0.05  # no farther inside than a cell
+
+
+def test_bodies_are_cut_out_where_a_collider_is():
+    ball = {"type": "sphere", "center": [0.5, 0.5], "radius": 0.2}
+    around = simulation(RUBBER, [box([0.2, 0.2], [0.8, 0.8])], [{"shape": ball}])
+    whole = simulation(RUBBER, [box([0.2, 0.2], [0.8, 0.8])], [{"shape": ball, "cut": False}])
+    held = np.linalg.norm(whole.particles.x - 0.5, axis=1) < 0.2
+    assert around.rows() == whole.rows() - np.count_nonzero(held) < whole.rows()
