@@ -1,7 +1,7 @@
 """Make the ground of the built-in scene `landslide`: python docs/make_landslide_ground.py, with matplotlib and scipy installed.
 
 The elevation is a piece of the Jacksboro fault (Tennessee, 36.5 N 84.2 W), 3 arc-seconds, from the sample data that matplotlib
-ships (jacksboro_fault_dem.npz), interpolated to 25 m by cubic splines. What slides is made up: a cap of an ellipsoid on a slope.
+ships (jacksboro_fault_dem.npz), interpolated to 25 m by cubic splines. What slides is made up: a cap of an ellipsoid.
 """
 
 from pathlib import Path
