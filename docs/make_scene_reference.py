@@ -14,15 +14,15 @@ from pmpm.scene.messages import value_text
 DOCS = Path(__file__).parent
 HEAD = """# All keys of a scene file
 
-`python docs/make_scene_reference.py` wrote this page from the code that checks a scene. What the keys mean together, and why one
-would set them, is told in [the scene file](scene.md); a key that is not here is refused with the nearest one that is. SI
-units, angles in degrees. In Python the same keys are keyword arguments of `pmpm.Scene`.
+`python docs/make_scene_reference.py` wrote this page from the code that checks a scene. What the keys mean together, and why
+one would set them, is told in [the scene file](scene.md); a key that is not here is refused with the nearest one that is.
+SI units, angles in degrees. In Python the same keys are keyword arguments of `pmpm.Scene`.
 
 ## In an editor
 
-`pmpm schema` prints the same as a JSON schema, [scene.schema.json](scene.schema.json). Editors that know it complete keys and words, show
-what a key means and its unit, and underline what is wrong before anything is run: Even Better TOML (VS Code), Taplo (its
-language server in any editor, and `taplo lint` on the command line) and others. Put it beside your scenes
+`pmpm schema` prints the same as a JSON schema, [scene.schema.json](scene.schema.json). Editors that know it complete keys and
+words, show what a key means and its unit, and underline what is wrong before anything is run: Even Better TOML (VS Code),
+Taplo (its language server in any editor, and `taplo lint` on the command line) and others. Put it beside your scenes
 
 ```sh
 pmpm schema > scene.schema.json
