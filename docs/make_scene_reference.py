@@ -162,6 +162,8 @@ def allowed(told):
     words = told.get("enum", ())
     for choice in told.get("anyOf", ()):
         words = [*words, *choice.get("enum", ())]
+    if "oneOf" in told:
+        return "; ".join(f"`{key}`: {allowed(inner)}" for key, inner in told.get("properties", {}).items())
     if told.get("type") == "object" and "properties" in told:
         faces = f"keys {', '.join(f'`{key}`' for key in told['properties'])}"
         return f"{faces}; {allowed(next(iter(told['properties'].values())))}"

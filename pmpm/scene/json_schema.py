@@ -22,7 +22,21 @@ def scene_schema() -> dict[str, Any]:
     told = Scene.model_json_schema()
     parts = {name: tidy(part) for name, part in told.pop("$defs").items()}
     head = {"$schema": DRAFT, "title": "pmpm scene", "description": "A run of pmpm: SI units, angles in degrees."}
-    return tidy(told) | head | {"$defs": parts}
+    return name_kinds(tidy(told) | head | {"$defs": parts}, parts)
+
+
+def name_kinds(told: Any, parts: dict[str, Any]) -> Any:
+    """Say beside each choice of tables which words tell them apart: a wrong word is then called wrong, not all of its table."""
+    if isinstance(told, list):
+        return [name_kinds(inner, parts) for inner in told]
+    if not isinstance(told, dict):
+        return told
+    told = {word: name_kinds(value, parts) for word, value in told.items()}
+    tables = [parts.get(choice.get("$ref", "").rpartition("/")[2], {}) for choice in told.get("oneOf", ())]
+    words = [{k: v["const"] for k, v in table.get("properties", {}).items() if "const" in v} for table in tables]
+    for key in sorted(set.intersection(*map(set, words))) if words else ():
+        told |= {"type": "object", "properties": {key: {"enum": [word[key] for word in words]}}, "required": [key]}
+    return told
 
 
 def tidy(told: dict[str, Any]) -> dict[str, Any]:

@@ -103,6 +103,12 @@ def test_a_slip_of_the_pen_is_refused(old, new):
     assert refused(change(old, new))
 
 
+def test_a_wrong_word_is_called_wrong_by_itself():
+    table = tomllib.loads(change('model = "fluid"', 'model = "flude"'))
+    said = [error.message for error in VALIDATOR.iter_errors(table)]
+    assert any(message.startswith("'flude' is not one of ['neo_hookean', ") for message in said)
+
+
 def test_functions_are_known_as_keys_of_python_alone():
     assert SCHEMA["properties"]["body_force"]["x-python"]
     assert refused('body_force = "python:b:0"\n' + GOOD)
