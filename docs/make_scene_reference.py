@@ -141,12 +141,11 @@ def kind(told):
 
 
 def list_kind(told):
-    items = told["items"]
+    items, low, high = told.get("items", {}), told.get("minItems", 0), told.get("maxItems")
     if items.get("type") == "array":
         return "square matrix of 2 or 3 rows"
-    if items.get("type") == "number":
-        low, high = told["minItems"], told["maxItems"]
-        return f"{low} numbers" if low == high else f"{low} or {high} numbers"
+    if items.get("type", "number") == "number":
+        return "numbers" if high is None else f"{low} numbers" if low == high else f"{low} or {high} numbers"
     return "list of words" if "enum" in items else "list: " + kind(items).removeprefix("table: ")
 
 
@@ -158,7 +157,7 @@ def links(names):
 def allowed(told):
     """Bounds and words."""
     if told.get("type") == "array":
-        return allowed(told["items"]) if "type" in told["items"] or "enum" in told["items"] else ""
+        return allowed(told.get("items", {}))
     words = told.get("enum", ())
     for choice in told.get("anyOf", ()):
         words = [*words, *choice.get("enum", ())]
