@@ -137,14 +137,14 @@ def kind(told):
         )
     if "anyOf" in told:
         return " or ".join(kind(choice) for choice in told["anyOf"])
-    return KINDS[told["type"]]
+    return KINDS.get(told.get("type"), "value")
 
 
 def list_kind(told):
     items, low, high = told.get("items", {}), told.get("minItems", 0), told.get("maxItems")
     if items.get("type") == "array":
-        return "square matrix of 2 or 3 rows"
-    if items.get("type", "number") == "number":
+        return "square matrix of 2 or 3 rows" if "anyOf" in told else "list of lists of numbers"
+    if items.get("type") == "number" or not items:
         return "numbers" if high is None else f"{low} numbers" if low == high else f"{low} or {high} numbers"
     return "list of words" if "enum" in items else "list: " + kind(items).removeprefix("table: ")
 

@@ -1,7 +1,8 @@
-"""What drives a simulation from outside at a given time: gravity, loads, walls and regions in motion."""
+"""What drives a simulation from outside at a given time: gravity, loads, walls, regions and colliders in motion."""
 
 import numpy as np
 
+from pmpm.collision import Obstacle, unit_of_momentum
 from pmpm.kernels.lanes import WIDTH
 from pmpm.scene.forcing import velocity_at
 
@@ -9,13 +10,16 @@ from pmpm.scene.forcing import velocity_at
 class Drive:
     """The outside of a scene as one rank's patch meets it. `start` takes the time of a step, the rest follows from it."""
 
-    def __init__(self, scene, real):
+    def __init__(self, scene, needs, tables, real):
         self.scene, self.real, self.dim = scene, real, scene.dim
         self.gravity = np.array(scene.domain.gravity)
         self.has_gravity = bool(self.gravity.any())
         self.gravity_row = np.tile(np.append(self.gravity, np.zeros(4 - self.dim)), WIDTH // 4).astype(real)
         self.damping = scene.method.damping
         self.regions = [Region(motion, self.dim) for motion in scene.motions]
+        self.obstacles = obstacles_of(scene, needs, tables, real)
+        self.others = np.zeros(0, np.int64)  # nodes on which another rank counts what colliders are given
+        self.heads = b""
         self.time, self.factor = 0.0, real(1.0)
         self.largest_load = 0.0  # m/s2, of any particle; whoever fills the simulation tells
         self.pull = float(np.linalg.norm(self.gravity))
@@ -23,22 +27,45 @@ class Drive:
     def meet(self, geometry, patch, walls):
         """Take note of a new patch and its walls."""
         self.walls = [wall for wall in walls if self.scene.domain.wall(wall.face).velocity is not None]
-        for region in self.regions:
-            region.meet(geometry, patch)
+        for moving in (*self.regions, *self.obstacles):
+            moving.meet(geometry, patch)
+        self.leave_none()
         self.start(self.time)
 
     def lay_out(self):
         """Take note that the patch has other nodes."""
-        for region in self.regions:
-            region.lay_out()
+        for moving in (*self.regions, *self.obstacles):
+            moving.lay_out()
+        self.leave_none()
+
+    def contact(self, obstacle):
+        """The nodes of a collider now."""
+        return obstacle.nodes(self.others)
+
+    def leave_none(self):
+        """Take no node for one of others until `note_shared` tells."""
+        self.others, self.heads = np.zeros(0, np.int64), b""
+
+    def note_shared(self, halo):
+        """Leave what colliders are given on nodes that a rank with earlier layers has to that rank: its messages have come."""
+        heads = halo.heads() if self.obstacles else b""
+        if heads != self.heads:
+            self.heads, self.others = heads, halo.earlier_nodes()
+        for obstacle in self.obstacles:
+            if obstacle.contact is not None:
+                obstacle.contact.disown(self.others)
+
+    def fastest(self, time):
+        """Bound in m/s of what the surface of a collider does."""
+        return max((obstacle.speed(time) for obstacle in self.obstacles), default=0.0)
 
     def start(self, time):
         """Set what acts in a step that begins at `time` (s)."""
         self.time, self.factor = time, self.real(self.grown(time))
         for wall in self.walls:
             wall.velocity[:] = velocity_at(self.scene.domain.wall(wall.face).velocity, time)
-        for region in self.regions:
-            region.start(time)
+        for moving in (*self.regions, *self.obstacles):
+            moving.start(time)
 
     def grown(self, time):
         """The part of gravity and loads that acts at a time."""
@@ -50,9 +77,9 @@ class Drive:
         return self.grown(time) * (self.pull + self.largest_load)
 
     def finish(self, dt):
-        """Let regions travel through a step."""
-        for region in self.regions:
-            region.travel(dt)
+        """Let regions and colliders travel through a step."""
+        for moving in (*self.regions, *self.obstacles):
+            moving.travel(dt)
 
     def gravity_gain(self, dt):
         """Velocity that gravity gives to a row of four nodes."""
@@ -63,6 +90,14 @@ class Drive:
         row = np.full(WIDTH, np.exp(-self.damping * dt), self.real)
         row[3::4] = 1.0
         return row
+
+
+def obstacles_of(scene, needs, tables, real):
+    """The colliders of a scene."""
+    if not scene.colliders:
+        return []
+    unit = unit_of_momentum(scene, needs, tables)
+    return [Obstacle(collider, scene, real, unit) for collider in scene.colliders]
 
 
 class Region:

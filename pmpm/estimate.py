@@ -12,6 +12,7 @@ import numpy as np
 from pmpm import timestep
 from pmpm.physics import stability
 from pmpm.scene import start
+from pmpm.scene.colliders import cut_out
 from pmpm.scene.errors import SceneError
 from pmpm.scene.seeding import meeting_later_bodies, surroundings
 from pmpm.state.derived import PARAMETERS
@@ -65,6 +66,8 @@ def particles_of(scene, number, samples, around):
     inside = body.shape.contains(places)
     for later in meeting_later_bodies(scene, number, around):
         inside &= ~later.shape.contains(places)
+    if scene.colliders:
+        inside &= ~cut_out(scene.colliders, places)
     return float(np.prod((high - low) / dx)) * body.particles_per_cell * np.count_nonzero(inside) / samples
 
 

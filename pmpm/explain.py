@@ -139,7 +139,7 @@ def aligned(rows):
 
 def compiled_kernels(scene, needs, ranks):
     """{law, "walls", "shared": names of the entry kernels that a run calls, hence compiles}."""
-    from pmpm.kernels.build import law_entries, shared_entries, wall_entries
+    from pmpm.kernels.build import collider_entries, law_entries, shared_entries, wall_entries
     from pmpm.scene.needs import grid_geometry
 
     layers = grid_geometry(scene, needs).layers
@@ -147,6 +147,7 @@ def compiled_kernels(scene, needs, ranks):
     gravity, damped = any(scene.domain.gravity), scene.method.damping > 0.0
     found = {label: law_entries(needs, watches_energy(scene)) for label in labels(needs.laws)}
     found["walls"] = wall_entries(needs)
+    found["colliders"] = collider_entries(needs)
     found["shared"] = shared_entries(gravity, damped, cuts)
     return {who: names for who, names in found.items() if names}
 
@@ -162,6 +163,7 @@ def card_kernels(scene, needs, ranks=1):
     found = {label: ["p2g", "g2p", *blended, *averaged, *guarded] for label in labels(needs.laws)}
     walls = sorted(set(needs.wall_types) - {"free"})
     found["walls"] = [f"{part} {name}" for part in ("wall", "image") for name in walls]
+    found["colliders"] = [f"collider {name}" for name in needs.collider_types]
     optional = {
         "add_gravity": any(scene.domain.gravity),
         "damp": scene.method.damping > 0.0,
@@ -187,6 +189,8 @@ def left_out(scene, needs):
     carried = {name for law in needs.laws for name in needs.carried(law)}
     absent += [f"field {field.name}" for field in OPTIONAL if field.name not in carried]
     absent += [f"wall {name}" for name in ("stick", "slip", "separate", "friction") if name not in needs.wall_types]
+    if not scene.colliders:
+        absent.append("colliders")
     if needs.transfer == "mls":
         absent.append("weight gradients")
     if scene.dim == 2:

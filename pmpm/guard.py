@@ -67,6 +67,7 @@ def unknown_work(scene):
     moving = [face for face, wall in scene.domain.walls.items() if wall.velocity is not None]
     found = {
         "motions": bool(scene.motions),
+        "colliders that move": any(collider.moves for collider in scene.colliders),
         f"the moving wall {' and '.join(moving)}": bool(moving),
         f"gravity along the periodic axis {' and '.join(periodic)}": bool(periodic),
         "a law that tells no energy": any(tells_no_energy(material) for material in scene.materials.values()),

@@ -72,6 +72,26 @@ class Energy(Numbers):
     pending: tuple[Count, int, int, int, int] | None
 
 
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Obstacle(Numbers):
+    """Of collision.Obstacle."""
+
+    shift: list[Finite]
+    turn: list[list[Finite]]
+    impulse: list[int]
+    told_time: Size
+    told: list[int]
+    unit: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+    def fits(self, dim):
+        """Whether it is of a scene of `dim` dimensions."""
+        parts = 3 if dim == 2 else 6
+        lengths = [len(self.shift), len(self.turn), *map(len, self.turn)], [len(self.impulse), len(self.told)]
+        return lengths == ([dim] * (2 + dim), [parts] * 2)
+
+
 class Record(Numbers):
     """All of it. `axes`: of the grid (slab, middle, row), by which layers and segments are counted; `counts`: of each regular
     output (interval in s, number of the next time it is due); `outputs`: how many snapshots and lines of diagnostics there
@@ -85,7 +105,8 @@ class Record(Numbers):
     regroups: Count
     control: Control
     energy: Energy | None
-    travelled: list[list[Annotated[float, Field(allow_inf_nan=False)]]]
+    travelled: list[list[Finite]]
+    obstacles: list[Obstacle] = []
     counts: dict[str, tuple[Size, Count]]
     outputs: dict[str, Count]
 
@@ -120,6 +141,7 @@ def state(simulation, outputs=None):
         "control": simulation.control.state(),
         "energy": simulation.energy_watch and simulation.energy_watch.state(),
         "travelled": [region.travelled.tolist() for region in simulation.drive.regions],
+        "obstacles": [obstacle.state(simulation.comm) for obstacle in simulation.drive.obstacles],
         "counts": {o.name: (o.seconds, o.count) for o in simulation.observers if o.name and o.seconds is not None},
         "outputs": outputs or {},
     }
@@ -332,6 +354,11 @@ class Continuation:
             )
         for region, where in zip(regions, travelled, strict=True):
             region.travelled[:] = where
+        obstacles, found = simulation.drive.obstacles, self.record.obstacles
+        if len(found) != len(obstacles) or not all(state.fits(simulation.dim) for state in found):
+            raise OutputError(f"{self.file.path} is damaged: its colliders are not those of its scene")
+        for obstacle, state in zip(obstacles, found, strict=True):
+            obstacle.resume(state.model_dump(), simulation.comm.rank)
 
     def common(self, simulation, layers):
         """([ids of each law], [velocities (n, dim) of each law]) of the particles of some layers."""

@@ -59,7 +59,7 @@ class Simulation:
         self.material_names = list(scene.materials)
         self.layouts = [Layout.of(law, self.dim, self.needs.carried(law)) for law in self.needs.laws]
         self.tables = [law_table(scene, law) for law in self.needs.laws]
-        self.drive = Drive(scene, self.real)
+        self.drive = Drive(scene, self.needs, self.tables, self.real)
         self.blend = self.real(scene.method.flip_blend or 0.0)
         self.dx, self.inv_dx = self.real(scene.domain.cell_size), self.real(1.0 / scene.domain.cell_size)
         self.limits, self.ends = domain_limits(scene, self.geometry)
@@ -288,6 +288,7 @@ class Simulation:
         failed = self.control.collect()
         if failed is not None:
             self.stop(failed)
+        self.control.pushing = self.drive.fastest(self.time)
         self.check_fixed_step(NumericalFailure)
         dt = self.choose_step()
         if self.control.regroup_due(self.step_count + 1, dt):
@@ -345,6 +346,7 @@ class Simulation:
         self.halo.wait()
         began = self.timers.add("halo wait", began)
         self.processor.take_shared()
+        self.drive.note_shared(self.halo)
         return self.timers.add("halo", began)
 
     def scatter(self, dt, phase):
@@ -625,6 +627,15 @@ class Simulation:
     def law_fields_later(self, names):
         """dict of law -> dict of the named state variables it keeps, over its own particles in order, made when written."""
         return readout.law_fields_later(self, names)
+
+    def impulses(self):
+        """{name of a collider: (momentum (dim,) in N s, its moment about the pivot in N m s)} that it has been given since the
+        run began; of a metre of depth in 2-D. Collective."""
+        return {o.name: o.in_newtons(o.total(self.comm)) for o in self.drive.obstacles}
+
+    def mean_forces(self):
+        """{name of a collider: (force (dim,) in N, torque in N m)}, the mean since this was last asked for. Collective."""
+        return {o.name: o.mean_force(self.comm, self.time) for o in self.drive.obstacles}
 
     def measure(self):
         """Totals over all ranks, the same for any rank count: particles, mass, momentum, angular momentum, energies, ..."""

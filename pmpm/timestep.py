@@ -2,7 +2,7 @@
 
 Four bounds, of which the shortest counts:
   cfl dx / (c sqrt(d))    c the largest current wave speed, with viscosity (Sun, Shinar, Schroeder 2020; quadratic splines)
-  MOVE dx / max|v|        what a particle moves
+  MOVE dx / max|v|        what a particle moves, and the surface of a collider
   sqrt(MOVE dx / max|a|)  what gravity, loads and body force let a particle at rest move
   STRETCH / max|grad v|   what a particle is strained: a lone one may stand still and expand
 Maxima over all ranks come from a reduction that was started LAG steps ago, so that no step waits for it; what a particle may
@@ -114,6 +114,7 @@ class StepControl:
         self.shortest = self.stable = math.inf  # s, of the bounds for the step last chosen, and what cfl makes of them
         self.largest = [[0.0] * len(LEARNT)] * 2  # until the last multiple of RECENT steps, and of those since then
         self.moving = 0.0  # m/s, the largest speed known last
+        self.pushing = 0.0  # m/s, the fastest of what pushes particles in the step to come
 
     def begin(self, step, maxima):
         """Take the maxima over the particles of this rank, in the order of what is reduced, of a state that no step has made,
@@ -143,6 +144,7 @@ class StepControl:
     def bounds(self, driven):
         """The longest step in s by each of BOUNDS; `driven`: acceleration by gravity and loads, m/s2."""
         speed, wave, gradient, force = self.recent
+        speed = max(speed, self.pushing)
         found = stable_bounds(self.cell_size, self.dim, wave, speed, driven + force, gradient)
         self.shortest = min(found)
         return found
@@ -167,7 +169,7 @@ class StepControl:
 
     def move_bound(self, dt):
         """Cells a particle may move in a step of dt."""
-        return MARGIN * self.moving * dt / self.cell_size
+        return MARGIN * max(self.moving, self.pushing) * dt / self.cell_size
 
     def regroup_due(self, step, dt):
         """Whether a particle might leave its layer's padded planes, or its place overflow, in step number `step`; or whether

@@ -36,7 +36,7 @@ class Kernels:
     """Entry kernels, and what the lanes work in.
 
     Per law p2g and g2p, p2g without impulses for schemes that blend velocities, p2g of the divergence and what measures it for
-    F-bar, what sums energies for the guard; `shared` by name; walls and images by wall type.
+    F-bar, what sums energies for the guard; `shared` by name; walls and images by wall type, colliders by surface.
     """
 
     p2g: tuple[Any, ...]
@@ -48,6 +48,7 @@ class Kernels:
     shared: dict[str, Any]
     walls: dict[str, Any]
     images: dict[str, Any]
+    colliders: dict[str, Any]
     scratch: np.ndarray
     first_nodes: np.ndarray
     constants: np.ndarray
@@ -70,6 +71,7 @@ class Kernels:
             **self.shared,
             **{f"wall {name}": kernel for name, kernel in self.walls.items()},
             **{f"image {name}": kernel for name, kernel in self.images.items()},
+            **{f"collider {name}": kernel for name, kernel in self.colliders.items()},
         }
 
 
@@ -83,6 +85,10 @@ def law_entries(needs, guarded):
 
 def wall_entries(needs):
     return [f"{part} {name}" for part in ("wall", "image") for name in sorted(set(needs.wall_types) & set(WALLS))]
+
+
+def collider_entries(needs):
+    return [f"collider {name}" for name in needs.collider_types]
 
 
 def shared_entries(gravity, damped, cuts):
@@ -158,6 +164,8 @@ def scene_choices(needs):
         "load_normal": loops.normal_2 if two else loops.normal_3,
         "node_of_segment": loops.node_of_segment_2 if two else loops.node_of_segment_3,
         "momentum_at": loops.momentum_2 if two else loops.momentum_3,
+        "vector_in": loops.vector_in_2 if two else loops.vector_in_3,
+        "MOMENTS": 1 if two else 3,
     }
 
 
@@ -260,6 +268,11 @@ def entries_of_walls(needs, make, module, scene):
     return walls, images
 
 
+def entries_of_colliders(needs, make, module, scene):
+    """{surface of colliders: entry of its rule}."""
+    return {name: make(**scene, wall=WALLS[name][0]).entry(module.collide) for name in needs.collider_types}
+
+
 def build(needs, layouts, parameter_counts, kind, threads=1):
     """Kernels for these needs, not compiled yet: numba compiles at the first call. Layouts and counts are per law; `kind` is
     one of LOOPS.
@@ -289,6 +302,7 @@ def build(needs, layouts, parameter_counts, kind, threads=1):
         shared=shared,
         walls=walls,
         images=images,
+        colliders=entries_of_colliders(needs, scalar, loops, scene),
         scratch=aligned(threads * lane_loops.SCRATCH, real).reshape(threads, -1),
         first_nodes=aligned(threads * WIDTH, np.int32).reshape(threads, -1),
         constants=row_constants(needs.stencil, real),

@@ -8,7 +8,14 @@ import numba
 import numpy as np
 
 from pmpm.kernels import cuda_loops, cuda_sorting, scalar_loops, targets
-from pmpm.kernels.build import entries_of_laws, entries_of_walls, law_choices, scalar_choices, scene_choices
+from pmpm.kernels.build import (
+    entries_of_colliders,
+    entries_of_laws,
+    entries_of_walls,
+    law_choices,
+    scalar_choices,
+    scene_choices,
+)
 
 THREADS = 128  # of a block of threads: eight blocks of particles
 TILE_BYTES = 24_000  # of shared memory; a block of threads may have 48 kB, with half of it more blocks run at a time
@@ -22,7 +29,8 @@ OF_NUMBERS = ("mark", "forget", "clear_reals", "clear_words")
 
 @dataclass(frozen=True)
 class CudaKernels:
-    """Entry kernels: per law those of particles, `nodes` and `sorting` by name, walls and images by wall type."""
+    """Entry kernels: per law those of particles, `nodes` and `sorting` by name, walls and images by wall type, colliders by
+    surface."""
 
     p2g: tuple[Any, ...]
     g2p: tuple[Any, ...]
@@ -38,6 +46,7 @@ class CudaKernels:
     sorting: dict[str, Any]
     walls: dict[str, Any]
     images: dict[str, Any]
+    colliders: dict[str, Any]
     threads: int  # of a block of threads
 
     @property
@@ -47,7 +56,8 @@ class CudaKernels:
         found = {f"{name} {i}": kernel for name in per_law for i, kernel in enumerate(getattr(self, name))}
         found |= {name: getattr(self, name) for name in OF_NUMBERS} | self.nodes | self.sorting
         found |= {f"wall {name}": kernel for name, kernel in self.walls.items()}
-        return found | {f"image {name}": kernel for name, kernel in self.images.items()}
+        found |= {f"image {name}": kernel for name, kernel in self.images.items()}
+        return found | {f"collider {name}": kernel for name, kernel in self.colliders.items()}
 
 
 def build(needs, layouts, parameter_counts, tiled=True):
@@ -73,5 +83,6 @@ def build(needs, layouts, parameter_counts, tiled=True):
         sorting={name: general.entry(getattr(cuda_sorting, name)) for name in SORTING},
         walls=walls,
         images=images,
+        colliders=entries_of_colliders(needs, make, cuda_loops, scene),
         threads=THREADS,
     )

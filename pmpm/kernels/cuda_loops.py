@@ -11,12 +11,16 @@ from numba import cuda
 from pmpm.kernels import loops
 from pmpm.kernels.loops import (
     BEYOND,
+    MOMENTS,
     PADDING,
     apply_wall_at,
     centre_of,
+    collide_at,
     fill_beyond_wall_at,
     momentum_at,
     node_of_segment,
+    vector_in,
+    whole,
 )
 from pmpm.kernels.scalar_loops import (
     advance,
@@ -359,6 +363,20 @@ def fill_beyond_wall(nodes, met, first, last, normal, velocity):
     if i < last:
         for far in range(BEYOND):
             fill_beyond_wall_at(nodes, met, i, far, normal, velocity)
+
+
+def collide(nodes, numbers, first, last, normals, velocities, arms, counted, coefficient, per_unit, per_reach, found):
+    """See loops.collide."""
+    i = first + cuda.grid(1)
+    if i < last:
+        given = collide_at(
+            nodes, numbers[i], vector_in(normals, i), vector_in(velocities, i), coefficient, counted[i] * per_unit
+        )
+        torque = la.moment(vector_in(arms, i), given)
+        for q in range(DIMENSIONS):
+            cuda.atomic.add(found, q, whole(given[q]))
+        for q in range(MOMENTS):
+            cuda.atomic.add(found, DIMENSIONS + q, whole(torque[q] * per_reach))
 
 
 def impose(nodes, numbers, last, velocity):

@@ -33,6 +33,7 @@ from pmpm.kernels.lanes import flush_denormals, load, repeat_mass, restore_denor
 from pmpm.kernels.places import PADDING  # noqa: F401 - of P2G and G2P
 from pmpm.physics import boundary
 from pmpm.physics import tensors2 as la
+from pmpm.physics.words import floor
 
 real = float
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
@@ -46,6 +47,7 @@ NOWHERE = -1
 FORCES, WORKS = 1440, 1456  # of `scratch`, behind the columns that the fast loops work in
 wall, image, TWO_SIDED = boundary.wall_stick, boundary.image_reversed, True
 BEYOND = 1
+MOMENTS = 1
 WINDOW, NODES = 5, 3
 
 
@@ -228,6 +230,17 @@ def normal_3(normal):
 momentum_at, load_normal = momentum_2, normal_2
 
 
+def vector_in_2(rows, i):
+    return (rows[i, 0], rows[i, 1])
+
+
+def vector_in_3(rows, i):
+    return (rows[i, 0], rows[i, 1], rows[i, 2])
+
+
+vector_in = vector_in_2
+
+
 def put_vector(nodes, n, v):
     for q in range(DIMENSIONS):
         nodes[n, q] = v[q]
@@ -283,6 +296,40 @@ def apply_wall_at(nodes, met, i, n, coefficient, u):
                 put_vector(nodes, beyond, la.add_scaled_vector(past, mass_beyond, u))
     on = wall(on, n, coefficient, pressed)
     put_vector(nodes, at, la.add_scaled_vector(on, mass_on, u))
+
+
+def collide(nodes, numbers, first, last, normals, velocities, arms, counted, coefficient, per_unit, per_reach, found):
+    """The surface of a rigid body, on momenta: of nodes numbers[first:last], which lie inside of it. normals, velocities and
+    arms (from the pivot, m) are the surface's there.
+
+    What these nodes give to the body is added to `found`, momentum in units and its moment in units times a reach, as whole
+    numbers: their sums do not depend on their order. Nodes with counted = 0 another rank counts.
+    """
+    before = flush_denormals()
+    for i in range(first, last):
+        given = collide_at(
+            nodes, numbers[i], vector_in(normals, i), vector_in(velocities, i), coefficient, counted[i] * per_unit
+        )
+        torque = la.moment(vector_in(arms, i), given)
+        for q in range(DIMENSIONS):
+            found[q] += whole(given[q])
+        for q in range(MOMENTS):
+            found[DIMENSIONS + q] += whole(torque[q] * per_reach)
+    restore_denormals(before)
+
+
+def collide_at(nodes, at, n, u, coefficient, per_unit):
+    """The same on one node; returns what it gives to the body, in units."""
+    mass, none = nodes[at, 3], real(0.0)
+    momentum = la.add_scaled_vector(momentum_at(nodes, at), -mass, u)
+    kept = wall(momentum, n, coefficient, none) if mass > none else momentum
+    put_vector(nodes, at, la.add_scaled_vector(kept, mass, u))
+    return la.scale_vector(per_unit, la.add_scaled_vector(momentum, -1.0, kept))
+
+
+def whole(x):
+    """The nearest whole number, or the largest that there is room for."""
+    return int(floor(max(-4611686018427387904.0, min(4611686018427387904.0, x)) + 0.5))
 
 
 def fill_beyond_wall(nodes, met, first, last, normal, velocity):

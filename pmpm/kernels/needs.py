@@ -132,6 +132,7 @@ class Needs:
     periodic: tuple[bool, ...]
     laws: tuple[LawNeeds, ...]
     wall_types: tuple[str, ...]
+    collider_types: tuple[str, ...] = ()  # surfaces of colliders
     f_bar: bool = False  # volume changes are averaged over nodes
     body_force: Callable | None = None  # acceleration(x, X, t) of the scene
     uses_reference: bool = False  # whether it reads X, or errors are measured at X

@@ -5,7 +5,7 @@ from pmpm.output.run_directory import DIAGNOSTICS
 
 
 class Diagnostics:
-    """Observer that appends step, time, dt and `simulation.measure()` to DIR/diagnostics.csv.
+    """Observer that appends step, time, dt, `simulation.measure()` and the mean forces on colliders to DIR/diagnostics.csv.
 
     Numbers are written so that reading them gives the same bits. Every line is on disk when the call returns. `count`: lines so
     far, those of the run that is continued among them, whose file may be another one.
@@ -21,6 +21,12 @@ class Diagnostics:
         """Append one line. Collective; OutputError on all ranks if it cannot be written."""
         measured = simulation.measure()
         row = {"step": simulation.step_count, "time": simulation.time, "dt": simulation.dt} | measured
+        for name, (force, torque) in simulation.mean_forces().items():
+            row |= {f"force_{axis}_{name}": value for axis, value in zip("xyz", force, strict=False)}
+            row |= {
+                f"torque_{axis}_{name}": value
+                for axis, value in zip("z" if len(torque) == 1 else "xyz", torque, strict=True)
+            }
 
         def append():
             header = not self.names

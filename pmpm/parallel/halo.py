@@ -49,6 +49,16 @@ class Message:
         return self.first_real(int(self.counts.sum()))
 
 
+def node_numbers(message, planes, patch):
+    """Numbers of the nodes in a patch that a message tells of, one after another; -1 where the patch has none."""
+    counts, spans = message.counts, message.spans[: 3 * int(message.counts.sum())].reshape(-1, 3)
+    middle, first, last = spans.astype(np.int64).T
+    sizes = 4 * (last - first)
+    of_span = np.repeat(np.arange(len(sizes)), sizes)
+    node = 4 * first[of_span] + np.arange(int(sizes.sum())) - (np.cumsum(sizes) - sizes)[of_span]
+    return patch.find(np.repeat(planes, counts)[of_span], middle[of_span], node)
+
+
 class Halo:
     """Exchanges the shared planes of one rank's patch. Buffers are allocated once per set of cuts; `lay_out` follows the nodes.
 
@@ -160,6 +170,15 @@ class Halo:
             self.add(message, planes)
             if len(pairs):
                 self.patch.add_apart(self.kernels, pairs)
+
+    def earlier_nodes(self):
+        """Numbers of the patch's nodes that a rank with earlier layers has, too, as its messages tell."""
+        found = [node_numbers(message, planes, self.patch) for _, _, message, planes, _ in self.as_later]
+        return np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)
+
+    def heads(self):
+        """What tells the nodes of those messages: bytes."""
+        return b"".join(message.head.tobytes() for _, _, message, *_ in self.as_later)
 
     def add(self, message, planes):
         patch = self.patch

@@ -53,6 +53,11 @@ def dot(u, v):
     return u[0] * v[0] + u[1] * v[1]
 
 
+def moment(u, v):
+    """Of a vector v at the end of an arm u, as a tuple of one number."""
+    return (u[0] * v[1] - u[1] * v[0],)
+
+
 def largest_entry(u):
     """max |u_i| of a vector."""
     return max(abs(u[0]), abs(u[1]))

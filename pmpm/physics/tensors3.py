@@ -86,6 +86,11 @@ def dot(u, v):
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
+def moment(u, v):
+    """Of a vector v at the end of an arm u: u x v."""
+    return (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+
+
 def largest_entry(u):
     """max |u_i| of a vector."""
     return max(max(abs(u[0]), abs(u[1])), abs(u[2]))

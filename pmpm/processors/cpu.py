@@ -75,6 +75,9 @@ class Cpu:
         self.begin()
         if self.simulation.slabs.cuts or len(self.apart):
             self.simulation.halo.warm_up()
+        for obstacle in self.simulation.drive.obstacles:
+            self.simulation.drive.contact(obstacle)
+            self.collide(obstacle, 0, 0)
         none, normal, met = self.real(0), np.zeros(needs.dim, self.real), np.zeros((0, 5), np.int64)
         for wall, image in zip(kernels.walls.values(), kernels.images.values(), strict=True):
             wall(self.patch.nodes, met, 0, 0, normal, none, normal)
@@ -189,13 +192,16 @@ class Cpu:
 
     def update(self, first, last, dt):
         """`update_planes` by all threads: walls couple nodes of a few planes, which one thread does."""
-        for region in self.simulation.drive.regions:
+        drive = self.simulation.drive
+        for region in drive.regions:
             region.nodes()  # once, before threads ask
+        for obstacle in drive.obstacles:
+            drive.contact(obstacle)
         ranges = pieces(first, last, self.threads, self.simulation.needs.stencil.window)
         self.crew.share(lambda planes, thread: self.update_planes(planes, dt), ranges)
 
     def update_planes(self, planes, dt):
-        """Momentum to velocity on a range of planes of the patch, with gravity, damping, walls and regions."""
+        """Momentum to velocity on a range of planes of the patch, with gravity, damping, colliders, walls and regions."""
         patch, drive, (first, last) = self.patch, self.simulation.drive, planes
         nodes, quads = patch.nodes, (patch.plane_start[first], patch.plane_start[last])
         for images in patch.images:
@@ -204,6 +210,8 @@ class Cpu:
             self.kernels.add_gravity(nodes, *quads, drive.gravity_gain(dt))
         if drive.damping > 0.0:
             self.kernels.damp(nodes, *quads, drive.kept(dt))
+        for obstacle in drive.obstacles:
+            self.collide(obstacle, *drive.contact(obstacle).between(first, last))
         here = [(wall, wall.between(first, last)) for wall in self.simulation.walls]
         for wall, part in here:
             self.kernels.walls[wall.type](nodes, wall.met, *part, wall.normal, wall.coefficient, wall.velocity)
@@ -212,6 +220,15 @@ class Cpu:
             self.kernels.images[wall.type](nodes, wall.met, *part, wall.normal, wall.velocity)
         for region in drive.regions:
             region.impose(nodes, first, last)
+
+    def collide(self, obstacle, first, last):
+        """What the surface of a collider does to the momenta of some of its nodes."""
+        contact, given = obstacle.contact, np.zeros(obstacle.parts, np.int64)
+        self.kernels.colliders[obstacle.type](
+            self.patch.nodes, contact.numbers, first, last, contact.normals, contact.velocities, contact.arms,
+            contact.counted, obstacle.coefficient, obstacle.per_unit, obstacle.per_reach, given,
+        )  # fmt: skip
+        obstacle.found.append(given)
 
     def g2p(self, parts, dt):
         """Nodes to particles."""

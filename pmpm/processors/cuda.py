@@ -15,7 +15,7 @@ from pmpm.kernels import build, build_cuda
 from pmpm.kernels.cuda_loops import CAUSES, FORCE, MAXIMA, NO_FAILURE, STEP
 from pmpm.kernels.places import FORMATS
 from pmpm.kernels.scalar_loops import FIELD_TUPLES
-from pmpm.parallel.halo import zeros
+from pmpm.parallel.halo import node_numbers, zeros
 from pmpm.parallel.parts import Crew
 from pmpm.processors.on_card import OnCard
 from pmpm.scene.errors import SceneError
@@ -62,6 +62,7 @@ class Cuda:
         self.particles: list[OnCard] = []
         self.holds_newest = False  # whether the card's particles are newer than the simulation's
         self.works = 0.0
+        self.given_to: dict[str, Any] = {}  # by collider, on the card: what it has been given in this step
 
     @property
     def patch(self):
@@ -305,6 +306,8 @@ class Cuda:
             self.launch(self.on_card.nodes["add_gravity"], count, nodes, *here, tuple(gain))
         if drive.damping > 0.0:
             self.launch(self.on_card.nodes["damp"], count, nodes, *here, drive.kept(dt)[0])
+        for obstacle in drive.obstacles:
+            self.collide(obstacle, *drive.contact(obstacle).between(first, last))
         walls = [
             (wall, met, wall.between(first, last)) for wall, met in zip(self.simulation.walls, self.met, strict=True)
         ]
@@ -321,6 +324,20 @@ class Cuda:
             if len(number):
                 there, velocity = self.kept(("region", at, first), number), tuple(region.velocity.astype(self.real))
                 self.launch(self.on_card.nodes["impose"], len(number), nodes, there, len(number), velocity)
+
+    def collide(self, obstacle, first, last):
+        """What the surface of a collider does to the momenta of some of its nodes."""
+        contact = obstacle.contact
+        if contact.on_card is None:
+            arrays = contact.numbers, contact.normals, contact.velocities, contact.arms, contact.counted
+            contact.on_card = [self.kept((obstacle.name, n), array) for n, array in enumerate(arrays)]
+        if obstacle.name not in self.given_to:
+            self.given_to[obstacle.name] = self.card.to_device(np.zeros(obstacle.parts, np.int64))
+        numbers, normals, velocities, arms, counted = contact.on_card
+        self.launch(
+            self.on_card.colliders[obstacle.type], last - first, self.nodes, numbers, first, last, normals, velocities, arms,
+            counted, obstacle.coefficient, obstacle.per_unit, obstacle.per_reach, self.given_to[obstacle.name],
+        )  # fmt: skip
 
     def sum_images(self, first, last):
         for (low, high), images in zip(self.images, self.patch.images, strict=True):
@@ -348,6 +365,11 @@ class Cuda:
         self.failure.copy_to_host(self.failures, stream=self.stream)
         if self.simulation.needs.driven:
             self.works = sum(p.by_layer(self.brought(p.works)) for p in self.particles)
+        for obstacle in self.simulation.drive.obstacles:
+            if obstacle.name in self.given_to:
+                given = self.given_to[obstacle.name]
+                obstacle.found.append(self.brought(given))
+                self.send(np.zeros(obstacle.parts, np.int64), given)
         self.wait()
         failed = []
         for law, found in enumerate(map(int, self.failures)):
@@ -435,13 +457,9 @@ class Incoming:
 
     def numbers_in(self, patch):
         """Numbers of the nodes in a patch."""
-        counts, spans = self.message.counts, self.message.spans[: 3 * int(self.message.counts.sum())].reshape(-1, 3)
-        middle, first, last = spans.astype(np.int64).T
-        sizes = 4 * (last - first)
-        self.count = int(sizes.sum())
-        of_span = np.repeat(np.arange(len(sizes)), sizes)
-        node = 4 * first[of_span] + np.arange(self.count) - (np.cumsum(sizes) - sizes)[of_span]
-        return patch.find(np.repeat(self.planes, counts)[of_span], middle[of_span], node)
+        found = node_numbers(self.message, self.planes, patch)
+        self.count = len(found)
+        return found
 
 
 def for_mpi(array):

@@ -40,6 +40,7 @@ def scene_needs(scene):
         periodic,
         laws,
         walls,
+        collider_types=tuple(sorted({collider.surface.type for collider in scene.colliders})),
         f_bar=method.f_bar,
         body_force=force,
         uses_reference=scene.exact is not None or (force is not None and forcing.reads(force, "X")),

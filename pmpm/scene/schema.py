@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 import tomli_w
@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, field_serializer, model_serializer,
 from pmpm.kernels.needs import STENCILS, TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
 from pmpm.scene import files, forcing, geostatic, outside, start
+from pmpm.scene.colliders import Collider, named, wrong_names
 from pmpm.scene.exact import Exact, wrong_exact
 from pmpm.scene.functions import Unfit
 from pmpm.scene.geostatic import Geostatic
@@ -29,6 +30,7 @@ from pmpm.scene.values import (
     flag,
     names,
     number,
+    short_told,
     tables,
     text,
     vector,
@@ -95,10 +97,6 @@ def wall_table(value: Any) -> Any:
     return {"type": value}
 
 
-def wall_told(table: Told) -> Told:
-    return {"anyOf": [{"enum": [wall for wall in WALLS if wall != "friction"]}, table]}
-
-
 def face_table(value: Any) -> Any:
     if not isinstance(value, Mapping) or not all(isinstance(face, str) for face in value):
         raise Problems(Problem((), 'must be a table like { x_min = "slip" }', value))
@@ -121,7 +119,7 @@ class Domain(Part):
         default=LATER, description="acceleration of gravity, zero if not given (m/s2)"
     )
     walls: Annotated[
-        dict[str, Annotated[Wall, Checked(wall_table, told=wall_told)]], Checked(face_table, told=faces_told)
+        dict[str, Annotated[Wall, Checked(wall_table, told=short_told(WALLS))]], Checked(face_table, told=faces_told)
     ] = Field(default_factory=dict, description="face -> wall; separate where not given")
     periodic: Annotated[tuple[str, ...], names(AXES)] = Field(
         default=(), description="axes along which the domain repeats"
@@ -362,7 +360,6 @@ def material_table(value: Any) -> Any:
 class Scene(Part):
     """Everything a run depends on; complete and checked. Raises SceneError, whose text is the message for the user."""
 
-    PLANNED: ClassVar[tuple[str, ...]] = ("colliders",)
     title: Annotated[str, text()] = Field(default="", description="what the scene shows")
     domain: Domain = Field(description="table with size and cell_size")
     method: Method = Field(default=Method(), description="table of the scheme")
@@ -379,6 +376,9 @@ class Scene(Part):
     )
     motions: Annotated[tuple[forcing.Motion, ...], tables("motion", least=0)] = Field(
         default=(), description="one table [[motions]] for each region of the grid that moves as told"
+    )
+    colliders: Annotated[tuple[Collider, ...], tables("collider", least=0)] = Field(
+        default=(), description="one table [[colliders]] for each rigid thing in the way"
     )
     exact: Exact | None = Field(
         default=None,
@@ -447,7 +447,7 @@ class Scene(Part):
     def list_of_bodies(self, bodies: tuple[Body, ...]) -> list[dict[str, Any]]:
         return [body.model_dump(exclude_none=True) for body in bodies]
 
-    @field_serializer("loads", "motions")
+    @field_serializer("loads", "motions", "colliders")
     def lists_of_parts(self, parts: tuple[Part, ...]) -> list[dict[str, Any]]:
         return [part.model_dump(exclude_none=True) for part in parts]
 
@@ -468,8 +468,12 @@ class Scene(Part):
         if axis is not None and axis not in axes:
             text = f"must be one of {', '.join(axes)} in a {self.dim}-D scene"
             problems.append(Problem(("parallel", "slab_axis"), text, axis))
-        forced = [(("loads", n), load.misfits(self.dim)) for n, load in enumerate(self.loads)]
+        forced: list[tuple[tuple[str | int, ...], Any]] = [
+            (("loads", n), load.misfits(self.dim)) for n, load in enumerate(self.loads)
+        ]
         forced += [(("motions", n), motion.misfits(self.dim)) for n, motion in enumerate(self.motions)]
+        forced += [(("colliders", n), collider.misfits(self.dim)) for n, collider in enumerate(self.colliders)]
+        forced.append((("colliders",), wrong_names(self.colliders)))
         problems += [Problem((*path, *p.path), p.text, p.value) for path, misfits in forced for p in misfits]
         if self.body_force is not None:
             problems += forcing.wrong_body_force(self.body_force, self.dim, self.domain.size)
@@ -483,6 +487,7 @@ class Scene(Part):
         settle(self, materials={name: material.complete(self.dim) for name, material in self.materials.items()})
         settle(self, bodies=tuple(self.complete_body(body) for body in self.bodies))
         settle(self, output=self.complete_output())
+        settle(self, colliders=tuple(named(self.colliders)))
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_start(body, index)]
         if self.exact is not None:
             problems += wrong_exact(self.exact, self.bodies, self.dim, self.time.end)

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmpm.scene.colliders import cut_out
+
 PLACES = 1 << 17  # that are tried at a time
 
 
@@ -164,6 +166,8 @@ def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer
     inside = body.shape.contains(x)
     for later in later_bodies:
         inside &= ~later.shape.contains(x)
+    if scene.colliders:
+        inside &= ~cut_out(scene.colliders, x)
     here = here[inside]
     return Seeds(node[here].astype(np.int32), offset[here], ids[here])
 

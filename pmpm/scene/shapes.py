@@ -7,10 +7,11 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from pmpm.scene.messages import TAG, Problem, Problems, known_text
 from pmpm.scene.part import Part
-from pmpm.scene.values import check_vector, check_word, checked, number, tables, vector, vector_told
+from pmpm.scene.terrain import Terrain
+from pmpm.scene.values import check_vector, check_word, checked, either, number, tables, vector, vector_told
 
 AXES = ("x", "y", "z")
-PLANNED_SHAPES = ("mesh", "terrain", "particles")
+PLANNED_SHAPES = ("mesh", "particles")
 
 Bounds = tuple[np.ndarray, np.ndarray]
 
@@ -35,6 +36,11 @@ class Box(Part):
         """Say which of the points (n, dim), m, lie inside: bool (n,)."""
         return np.all((points >= np.array(self.min)) & (points <= np.array(self.max)), axis=1)
 
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points (n, dim), m, are from the surface, (n,) m, negative inside."""
+        beyond = np.maximum(np.array(self.min) - points, points - np.array(self.max))
+        return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+
     def bounds(self) -> Bounds:
         """Return the corners (low, high) of the surrounding box, (dim,) each, m."""
         return np.array(self.min), np.array(self.max)
@@ -58,6 +64,10 @@ class Sphere(Part):
             offset = (points - np.array(self.center)) / self.radius
             return np.sum(offset * offset, axis=1) <= 1.0
 
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points (n, dim), m, are from the surface, (n,) m, negative inside."""
+        return np.linalg.norm(points - np.array(self.center), axis=1) - self.radius
+
     def bounds(self) -> Bounds:
         """Return the corners (low, high) of the surrounding box, (dim,) each, m."""
         return np.array(self.center) - self.radius, np.array(self.center) + self.radius
@@ -78,7 +88,7 @@ def axis_vector(value: Any) -> Any:
     return direction
 
 
-AXIS_TOLD = {"anyOf": [{"enum": list(AXES)}, vector_told() | {"minItems": 3}]}
+AXIS_TOLD = either({"enum": list(AXES)}, vector_told() | {"minItems": 3})
 
 
 class Cylinder(Part):
@@ -106,6 +116,14 @@ class Cylinder(Part):
             across = offset - along[:, None] * self.direction()
             return (np.abs(along) <= 0.5 * self.height / self.radius) & (np.sum(across * across, axis=1) <= 1.0)
 
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points (n, 3), m, are from the surface, (n,) m, negative inside."""
+        offset = points - np.array(self.center)
+        along = offset @ self.direction()
+        across = np.linalg.norm(offset - along[:, None] * self.direction(), axis=1)
+        beyond = np.stack([np.abs(along) - 0.5 * self.height, across - self.radius], axis=1)
+        return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+
     def bounds(self) -> Bounds:
         """Return the corners (low, high) of the surrounding box, (3,) each, m."""
         direction = self.direction()
@@ -122,6 +140,81 @@ class Cylinder(Part):
         return [] if dim == 3 else [Problem(("type",), "is 3-D only; in 2-D use sphere (a disk) or box", self.type)]
 
 
+class Capsule(Part):
+    """All that lies within a radius of a line between two points (a stadium in 2-D), boundary included."""
+
+    type: Literal["capsule"] = "capsule"
+    start: Annotated[tuple[float, ...], vector("m")] = Field(description="one end of the line (m)")
+    end: Annotated[tuple[float, ...], vector("m")] = Field(description="other end of the line (m)")
+    radius: Annotated[float, number("m", above=0.0)] = Field(description="radius (m)")
+
+    @model_validator(mode="after")
+    def check_ends(self) -> "Capsule":
+        if len(self.start) != len(self.end):
+            raise Problems(Problem(("end",), f"must have {len(self.start)} numbers like start", list(self.end)))
+        if self.start == self.end:
+            raise Problems(Problem(("end",), "is the start as well: give a sphere instead", list(self.end)))
+        return self
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Say which of the points (n, dim), m, lie inside: bool (n,)."""
+        return self.signed_distance(points) <= 0.0
+
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points (n, dim), m, are from the surface, (n,) m, negative inside."""
+        start, line = np.array(self.start), np.array(self.end) - np.array(self.start)
+        length = np.linalg.norm(line)
+        along = np.clip((points - start) @ (line / length), 0.0, length)
+        return np.linalg.norm(points - start - along[:, None] * (line / length), axis=1) - self.radius
+
+    def bounds(self) -> Bounds:
+        """Return the corners (low, high) of the surrounding box, (dim,) each, m."""
+        ends = np.array([self.start, self.end])
+        return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius
+
+    def misfits(self, dim: int) -> list[Problem]:
+        """List what does not fit a scene of `dim` dimensions."""
+        return wrong_length("start", self.start, dim)
+
+
+class Plane(Part):
+    """All that lies on one side of a plane (of a line in 2-D): the side that the normal points away from."""
+
+    type: Literal["plane"] = "plane"
+    point: Annotated[tuple[float, ...], vector("m")] = Field(description="any point of the plane (m)")
+    normal: Annotated[tuple[float, ...], vector("-")] = Field(description="direction out of the solid, of any length")
+
+    @model_validator(mode="after")
+    def check_normal(self) -> "Plane":
+        if len(self.point) != len(self.normal):
+            raise Problems(Problem(("normal",), f"must have {len(self.point)} numbers like point", list(self.normal)))
+        if not any(self.normal):
+            raise Problems(Problem(("normal",), "must not be zero", list(self.normal)))
+        return self
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Say which of the points (n, dim), m, lie inside: bool (n,)."""
+        return self.signed_distance(points) <= 0.0
+
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points (n, dim), m, are from the surface, (n,) m, negative inside."""
+        normal = np.array(self.normal) / np.max(np.abs(self.normal))
+        return (points - np.array(self.point)) @ (normal / np.linalg.norm(normal))
+
+    def bounds(self) -> Bounds:
+        """Return the corners (low, high) of the surrounding box, (dim,) each, m, infinite but for one side of one axis."""
+        dim = len(self.point)
+        low, high = np.full(dim, -np.inf), np.full(dim, np.inf)
+        for axis in range(dim):
+            if np.count_nonzero(self.normal) == 1 and self.normal[axis]:
+                (high if self.normal[axis] > 0.0 else low)[axis] = self.point[axis]
+        return low, high
+
+    def misfits(self, dim: int) -> list[Problem]:
+        """List what does not fit a scene of `dim` dimensions."""
+        return wrong_length("point", self.point, dim)
+
+
 class Union(Part):
     """Everything that lies in at least one of the shapes."""
 
@@ -131,6 +224,10 @@ class Union(Part):
     def contains(self, points: np.ndarray) -> np.ndarray:
         """Say which of the points (n, dim), m, lie inside: bool (n,)."""
         return np.any([shape.contains(points) for shape in self.of], axis=0)
+
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Return a bound of how far points (n, dim), m, are from the surface, (n,) m: exact in sign, negative inside."""
+        return np.min([shape.signed_distance(points) for shape in self.of], axis=0)
 
     def bounds(self) -> Bounds:
         """Return the corners (low, high) of the surrounding box, (dim,) each, m."""
@@ -155,6 +252,11 @@ class Difference(Part):
             inside &= ~shape.contains(points)
         return inside
 
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Return a bound of how far points (n, dim), m, are from the surface, (n,) m: exact in sign, negative inside."""
+        taken = [-shape.signed_distance(points) for shape in self.of[1:]]
+        return np.max([self.of[0].signed_distance(points), *taken], axis=0)
+
     def bounds(self) -> Bounds:
         """Return the corners (low, high) of the box around the first shape, (dim,) each, m."""
         return self.of[0].bounds()
@@ -174,6 +276,10 @@ class Intersection(Part):
         """Say which of the points (n, dim), m, lie inside: bool (n,)."""
         return np.all([shape.contains(points) for shape in self.of], axis=0)
 
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
+        """Return a bound of how far points (n, dim), m, are from the surface, (n,) m: exact in sign, negative inside."""
+        return np.max([shape.signed_distance(points) for shape in self.of], axis=0)
+
     def bounds(self) -> Bounds:
         """Return the corners (low, high), (dim,) each, m, of what all boxes share; low >= high if nothing."""
         lows, highs = zip(*(shape.bounds() for shape in self.of), strict=True)
@@ -188,7 +294,7 @@ class Intersection(Part):
         return [] if np.all(low < high) else [Problem(("of",), "is empty: these shapes do not all overlap")]
 
 
-SHAPES = {"box": Box, "sphere": Sphere, "cylinder": Cylinder}
+SHAPES = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "capsule": Capsule, "plane": Plane, "terrain": Terrain}
 SHAPES |= {"union": Union, "difference": Difference, "intersection": Intersection}
 
 
@@ -212,6 +318,9 @@ Shape = Annotated[
     Annotated[Box, Tag(TAG + "box")]
     | Annotated[Sphere, Tag(TAG + "sphere")]
     | Annotated[Cylinder, Tag(TAG + "cylinder")]
+    | Annotated[Capsule, Tag(TAG + "capsule")]
+    | Annotated[Plane, Tag(TAG + "plane")]
+    | Annotated[Terrain, Tag(TAG + "terrain")]
     | Annotated[Union, Tag(TAG + "union")]
     | Annotated[Difference, Tag(TAG + "difference")]
     | Annotated[Intersection, Tag(TAG + "intersection")],

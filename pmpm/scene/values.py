@@ -62,6 +62,17 @@ def unit_told(unit: str) -> Told:
     return {} if unit == "-" else {"x-unit": unit}
 
 
+def either(*told: Told) -> Told:
+    """JSON schema of what any of these accepts; the unit is theirs."""
+    units = {one["x-unit"] for one in told if "x-unit" in one}
+    return {"anyOf": list(told), **(unit_told(units.pop()) if len(units) == 1 else {})}
+
+
+def short_told(words: Collection[str]) -> Callable[[Told], Told]:
+    """JSON schema of a table that may be given by its type alone, except for friction, which needs a coefficient."""
+    return lambda table: either({"enum": [word for word in words if word != "friction"]}, table)
+
+
 def check_number(unit: str, only: float | None = None, **bounds: float | None) -> Check:
     allowed = range_text(unit, **bounds)
 

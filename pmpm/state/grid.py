@@ -138,6 +138,7 @@ class Patch:
 
     def take_marks(self, planes, kernels=None):
         """Make nodes of the quads that are marked on planes."""
+        self.marks = planes
         self.spans = spans_of(planes, kernels) if kernels else np.zeros((0, 3), np.int64)
         sizes = self.spans[:, 2] - self.spans[:, 1]
         self.first_quads = np.concatenate([[0], np.cumsum(sizes)])

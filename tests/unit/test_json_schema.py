@@ -94,7 +94,7 @@ def test_the_schema_refuses_most_broken_scenes():
         ('model = "fluid"', ""),
         ('x_min = "slip"', 'x_min = "friction"'),
         ('y_min = "stick"', 'y_mni = "stick"'),
-        ("[output]", 'colliders = []\n[output]\nfields = ["speed"]'),
+        ("[output]", "[outputs]"),
         ("snapshot_interval = 0.02", 'fields = ["sped"]'),
     ],
 )

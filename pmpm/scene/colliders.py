@@ -1,0 +1,278 @@
+"""Rigid things in the way of the material: where they are, how they move, and what their surface does to what touches it."""
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, field_serializer, model_serializer, model_validator
+
+from pmpm.scene.forcing import Velocity, wrong_velocity
+from pmpm.scene.messages import Problem, Problems, value_text
+from pmpm.scene.part import Part
+from pmpm.scene.recorded import FROM_PYTHON, function_or, record, refuse_record
+from pmpm.scene.shapes import Bounds, Shape, wrong_length
+from pmpm.scene.values import (
+    Checked,
+    check_number,
+    check_vector,
+    check_word,
+    checked,
+    choice,
+    either,
+    flag,
+    number,
+    number_told,
+    plain,
+    short_told,
+    text,
+    vector,
+    vector_told,
+)
+
+SURFACES = ("stick", "slip", "separate", "friction")
+NORMAL_STEP = 1e-3  # cells: over which the distance is differenced
+SPIN = "angular velocity: a number in 2-D, a vector in 3-D, or a function of time (deg/s)"
+
+
+class Surface(Part):
+    """What the surface of a collider does to material that touches it."""
+
+    type: Annotated[str, choice(SURFACES)] = Field(description=f"one of {', '.join(SURFACES)}")
+    coefficient: Annotated[float, number(at_least=0.0)] = Field(
+        default=0.0, description="coefficient of Coulomb friction"
+    )
+
+    @model_validator(mode="after")
+    def check_coefficient(self) -> "Surface":
+        given = "coefficient" in self.model_fields_set
+        if (self.type == "friction") != given:
+            raise Problems(wrong_coefficient(self.type, self.coefficient, "surface"))
+        return self
+
+    @model_serializer
+    def short(self) -> Any:
+        return {"type": self.type, "coefficient": self.coefficient} if self.type == "friction" else self.type
+
+
+def wrong_coefficient(kind: str, coefficient: float, where: str) -> Problem:
+    """Complain about friction without a coefficient, or a coefficient without friction."""
+    if kind == "friction":
+        return Problem((), 'must give the coefficient: { type = "friction", coefficient = 0.4 }', "friction")
+    return Problem(("coefficient",), f"belongs to a friction {where}, not to {kind}", coefficient)
+
+
+def surface_table(value: Any) -> Any:
+    """Turn the short form, the type alone, into a table."""
+    if not isinstance(value, str):
+        return value
+    check_word(value, SURFACES)
+    return {"type": value}
+
+
+def check_spin(value: Any) -> Any:
+    value = plain(value)
+    return check_vector("deg/s")(value) if isinstance(value, list | tuple) else check_number("deg/s")(value)
+
+
+def check_distance(value: Any) -> Any:
+    refuse_record(value)
+    if not callable(value):
+        raise Problems(Problem((), "must be a function of places (n, dim) and time, given from Python", value))
+    return value
+
+
+TIMES = {"type": "array", "items": number_told(), "minItems": 1, "x-unit": "s"}
+PLACES = {"type": "array", "items": vector_told(), "x-unit": "m"}
+
+
+class Path(Part):
+    """Where a collider is at given times: moved from its place in the scene, straight from one time to the next."""
+
+    times: Annotated[tuple[float, ...], checked(lambda value: rising(value), TIMES)] = Field(
+        description="times, each later than the one before (s)"
+    )
+    displacements: Annotated[tuple[tuple[float, ...], ...], checked(lambda value: vectors(value), PLACES)] = Field(
+        description="displacement at each of the times (m)"
+    )
+
+    @model_validator(mode="after")
+    def check_lengths(self) -> "Path":
+        if len(self.times) != len(self.displacements):
+            text = f"must have {len(self.times)} vectors, one for each of the times, not {len(self.displacements)}"
+            raise Problems(Problem(("displacements",), text))
+        return self
+
+    def displacement(self, time: float) -> np.ndarray:
+        """Return the displacement (m) at a time; before the first and after the last one it rests."""
+        table = np.array(self.displacements)
+        return np.array([np.interp(time, self.times, column) for column in table.T])
+
+
+def rising(value: Any) -> tuple[float, ...]:
+    if not isinstance(value, list | tuple) or not value:
+        raise Problems(Problem((), "must be a list of times (s)", value))
+    times = [check_number("s")(item) for item in value]
+    late = [i for i in range(1, len(times)) if not times[i] > times[i - 1]]
+    if late:
+        raise Problems(
+            Problem((late[0],), f"s must be later than the one before, {times[late[0] - 1]} s", times[late[0]])
+        )
+    return tuple(times)
+
+
+def vectors(value: Any) -> tuple[tuple[float, ...], ...]:
+    if not isinstance(value, list | tuple):
+        raise Problems(Problem((), "must be a list of vectors (m)", value))
+    return tuple(check_vector("m")(item) for item in value)
+
+
+class Collider(Part):
+    """A rigid body that moves as told, or rests; the material feels it, and it takes note of the force on it."""
+
+    name: Annotated[str | None, text()] = Field(
+        default=None, description="in diagnostics; collider_0, collider_1 ... if not given"
+    )
+    shape: Shape | None = Field(default=None, description="table with a type and its measures")
+    distance: Annotated[Any, checked(check_distance, FROM_PYTHON)] = Field(
+        default=None,
+        description="from Python, instead of a shape: function d(x, t) of places (n, dim) in m and time in s that returns the "
+        "distance to the surface (n,), m, negative inside",
+    )
+    surface: Annotated[Surface, Checked(surface_table, told=short_told(SURFACES))] = Field(
+        default=Surface(type="separate"), description=f"one of {', '.join(SURFACES)}; friction with its coefficient"
+    )
+    velocity: Velocity = Field(default=None, description="vector, or a function of time (m/s)")
+    angular_velocity: Annotated[
+        Any, checked(function_or(check_spin), either(number_told("deg/s"), vector_told("deg/s")))
+    ] = Field(default=None, description=SPIN)
+    pivot: Annotated[tuple[float, ...] | None, vector("m")] = Field(
+        default=None, description="point that it turns about and torques are taken about; the middle if not given (m)"
+    )
+    path: Path | None = Field(default=None, description="times and displacements, instead of a velocity")
+    cut: Annotated[bool, flag()] = Field(default=True, description="whether bodies are cut out where the collider is")
+
+    @model_validator(mode="after")
+    def check_kind(self) -> "Collider":
+        if (self.shape is None) == (self.distance is None):
+            given = "both" if self.shape is not None else "none"
+            raise Problems(Problem((), f"must give a shape, or from Python a distance: not {given}"))
+        if self.path is not None and self.velocity is not None:
+            raise Problems(Problem(("path",), "excludes a velocity: give one of the two"))
+        return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is somewhere else, or another one, later."""
+        return any(way is not None for way in (self.velocity, self.angular_velocity, self.path, self.distance))
+
+    def misfits(self, dim: int) -> Iterator[Problem]:
+        """Yield what does not fit a scene of `dim` dimensions."""
+        if self.velocity is not None:
+            yield from wrong_velocity(self.velocity, dim)
+        if self.pivot is not None:
+            yield from wrong_length("pivot", self.pivot, dim)
+        if self.angular_velocity is not None:
+            yield from self.wrong_spin(dim)
+        if self.path is not None:
+            for index, displacement in enumerate(self.path.displacements):
+                for problem in wrong_length(str(index), displacement, dim):
+                    yield Problem(("path", "displacements", index), problem.text, problem.value)
+        if self.shape is not None:
+            yield from (Problem(("shape", *p.path), p.text, p.value) for p in self.shape.misfits(dim))
+        else:
+            yield from self.wrong_distance(dim)
+
+    def wrong_spin(self, dim: int) -> Iterator[Problem]:
+        shown = record(self.angular_velocity)
+        try:
+            found = spin_at(self.angular_velocity, 0.0, dim)
+        except Exception as error:
+            text = (
+                f"fails at t = 0 s: {type(error).__name__}: {error}" if callable(self.angular_velocity) else str(error)
+            )
+            yield Problem(("angular_velocity",), text, shown)
+            return
+        if not np.isfinite(found).all():
+            yield Problem(("angular_velocity",), f"must be finite, not {value_text(found.tolist())} at t = 0 s", shown)
+
+    def wrong_distance(self, dim: int) -> Iterator[Problem]:
+        points = np.linspace(0.0, 1.0, 2 * dim).reshape(2, dim)
+        try:
+            found = np.asarray(self.distance(points, 0.0))
+        except Exception as error:
+            text = f"fails for places (2, {dim}) at t = 0 s: {type(error).__name__}: {error}"
+            yield Problem(("distance",), text, record(self.distance))
+            return
+        if found.shape != (2,) or not np.issubdtype(found.dtype, np.floating):
+            text = (
+                f"must return (n,) distances (m) for places (n, {dim}), not {found.dtype} {found.shape} for two places"
+            )
+            yield Problem(("distance",), text, record(self.distance))
+
+    def bounds(self, dim: int) -> Bounds:
+        """Return the corners (low, high) of the surrounding box at the start, (dim,) each, m; infinite where it has no end."""
+        if self.shape is None:
+            return np.full(dim, -np.inf), np.full(dim, np.inf)
+        return self.shape.bounds()
+
+    def signed_distance(self, points: np.ndarray, time: float) -> np.ndarray:
+        """Return how far points (n, dim), m, are from its surface, (n,) m, negative inside, where it was at the start."""
+        if self.shape is None:
+            return np.asarray(self.distance(points, time), np.float64)
+        return self.shape.signed_distance(points)
+
+    def normals(self, points: np.ndarray, time: float, cell_size: float) -> np.ndarray:
+        """Return unit vectors (n, dim) along which the distance grows; upwards where it does not tell."""
+        own = getattr(self.shape, "normals", None)
+        if own is not None:
+            return own(points)
+        step, slopes = NORMAL_STEP * cell_size, np.empty_like(points)
+        for axis in range(points.shape[1]):
+            shift = np.zeros(points.shape[1])
+            shift[axis] = step
+            slopes[:, axis] = self.signed_distance(points + shift, time) - self.signed_distance(points - shift, time)
+        lengths = np.linalg.norm(slopes, axis=1)
+        up = np.zeros(points.shape[1])
+        up[-1] = 1.0
+        told = lengths > 0.0
+        return np.where(told[:, None], slopes / np.where(told, lengths, 1.0)[:, None], up)
+
+    @field_serializer("velocity", "angular_velocity", "distance")
+    def recorded_function(self, value: Any) -> Any:
+        return record(value)
+
+
+def spin_at(spin: Any, time: float, dim: int) -> np.ndarray:
+    """Return an angular velocity that may be a function of time as a vector (1,) in 2-D or (3,) in 3-D, rad/s."""
+    found = np.atleast_1d(np.asarray(spin(time) if callable(spin) else spin, np.float64))
+    size = 1 if dim == 2 else 3
+    if found.shape != (size,):
+        kind = "one number" if dim == 2 else "three numbers"
+        raise ValueError(f"must be {kind} in {dim}-D (deg/s)")
+    return math.pi / 180.0 * found
+
+
+def cut_out(colliders: tuple[Collider, ...], points: np.ndarray) -> np.ndarray:
+    """Say which points (n, dim), m, lie inside colliders that bodies are cut by, at the start: bool (n,)."""
+    inside = np.zeros(len(points), bool)
+    for collider in colliders:
+        if collider.cut:
+            inside |= collider.signed_distance(points, 0.0) < 0.0
+    return inside
+
+
+def named(colliders: tuple[Collider, ...]) -> Iterator[Collider]:
+    """Yield colliders that all have a name."""
+    for index, collider in enumerate(colliders):
+        yield collider if collider.name else collider.model_copy(update={"name": f"collider_{index}"})
+
+
+def wrong_names(colliders: tuple[Collider, ...]) -> Iterator[Problem]:
+    """Yield names that would stand twice in the diagnostics, or that a CSV file cannot hold."""
+    names = [collider.name for collider in named(colliders)]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            yield Problem((index, "name"), "is the name of another collider", name)
+        elif name is not None and not name.replace("_", "a").replace("-", "a").isalnum():
+            yield Problem((index, "name"), "must be letters, digits, _ and - alone: it heads a column", name)
