@@ -42,8 +42,10 @@ def name_kinds(told: Any, parts: dict[str, Any]) -> Any:
 def tidy(told: dict[str, Any]) -> dict[str, Any]:
     """Return what pydantic tells without what TOML has no word for, and as draft 7 spells it."""
     kept = {word: tidy_value(word, value) for word, value in told.items() if word != "title"}
-    if kept.get("default", 0) is None or "properties" in kept:
-        kept.pop("default", None)
+    if kept.get("default", 0) is None or isinstance(kept.get("default"), dict):
+        del kept["default"]
+    if "const" in kept:
+        kept.pop("enum", None)  # which older versions of pydantic add
     if "properties" in kept:
         # A word that tells tables apart must stand in the file, though Python fills it in.
         words = [key for key, value in kept["properties"].items() if "const" in value]
