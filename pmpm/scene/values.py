@@ -144,8 +144,8 @@ def check_word(value: Any, built: Collection[str], planned: Collection[str] = ()
     raise Problems(Problem(path, f"is not known; {known_text(value, built, 'known are')}", value))
 
 
-def names(known: Collection[str]) -> Checked:
-    """Accept a list of words without repetition; those `known` are all that a file may hold, which is checked elsewhere."""
+def names(known: Collection[str] = ()) -> Checked:
+    """Accept a list of words without repetition; if any are `known`, no others may stand in a file: checked elsewhere."""
 
     def check(value: Any) -> Any:
         if not isinstance(value, list | tuple) or not all(isinstance(item, str) for item in value):
@@ -155,7 +155,8 @@ def names(known: Collection[str]) -> Checked:
             raise Problems(*(Problem((index,), "is named twice", value[index]) for index in twice))
         return tuple(value)
 
-    return checked(check, {"type": "array", "items": {"enum": list(known)}, "uniqueItems": True})
+    word = {"enum": list(known)} if known else {"type": "string"}
+    return checked(check, {"type": "array", "items": word, "uniqueItems": True})
 
 
 def flag() -> Checked:

@@ -22,7 +22,7 @@ VALIDATOR = jsonschema.Draft7Validator(SCHEMA)
 # What a look at single keys shows: of messages that say so, the schema must refuse the scene, too.
 ONE_KEY = re.compile(
     r"is not a known key|is missing: |must be a (finite )?number [<>]|must be a list|must be true or false|"
-    r"is not known; |must be a table|must be a whole number|must have at least one|is not a known face"
+    r"is not known; |must be a table|must be a whole number|is not a known face"
 )
 # ... but not where it follows from another key (a key of z in 2-D), or where JSON schema has no word for it.
 BEYOND = re.compile(
