@@ -73,8 +73,8 @@ HEAD = """# Gallery
 
 The scenes that come with pmpm: each one idea, with its source, run and drawn by the commands beneath its picture. `python
 docs/make_gallery.py` wrote this page from the scenes' own files and made the pictures. Times are those of one core of a cloud
-machine, without the first compilation. A run leaves its scene, with all defaults, as `scene.toml` in its folder: a beginning for
-a scene of your own.
+machine, without the first compilation. A run leaves its scene, with all defaults, as `scene.toml` in its folder: a beginning
+for a scene of your own.
 
 """
 
