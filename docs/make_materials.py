@@ -38,8 +38,9 @@ def index():
         lines.append(f"| [`{model}`]({model}.md) | {cell_text(summary(law))} | {kept} |")
     lines += ["", "`pmpm materials` lists the same on the screen, `pmpm point MODEL` drives one particle of a law:"]
     lines += [
-        "see [below](#one-particle-on-a-path). A function of your own is [a law, too](../scene.md#a-law-of-your-own)."
+        "see [below](#one-particle-on-a-path). A function of your own is [a law, too](../scene.md#a-law-of-your-own);"
     ]
+    lines += ["how to add one to pmpm is [told here](../adding_a_material.md)."]
     return "\n".join([*lines, "", POINT])
 
 

@@ -133,6 +133,7 @@ def parser(rank=0):
     add_backend(check)
     commands.add_parser("scenes", help="list the built-in scenes")
     commands.add_parser("materials", help="list material models, their keys, units and sources")
+    commands.add_parser("schema", help="print the JSON schema of scene files, by which editors complete and check them")
     options.add_point(commands)
     add_study(commands)
     info = commands.add_parser("info", help="what a run folder or snapshot holds")
@@ -302,6 +303,13 @@ def materials(options, comm):
     return FINISHED
 
 
+def schema(options, comm):
+    from pmpm.scene.json_schema import schema_text
+
+    say(schema_text(), comm.rank)
+    return FINISHED
+
+
 def point(options, comm):
     from pmpm.point.command import point as drive
 
@@ -358,5 +366,5 @@ def render(options, comm):
 
 COMMANDS = {
     "run": run, "check": check, "scenes": scenes, "materials": materials, "point": point, "study": study, "info": info,
-    "plot": plot, "render": render,
+    "plot": plot, "render": render, "schema": schema,
 }  # fmt: skip

@@ -68,13 +68,14 @@ class Obstacle:
         self.impulse = [0] * self.parts  # units given to it since the run began, as far as this rank has counted them
         self.told = (0.0, [0] * self.parts)  # when the mean force was last asked for, and all of the impulse then
         self.masks: dict[int, np.ndarray] = {}  # by plane, quads with a node inside, of one that rests
+        self.mask: np.ndarray | None = None  # the same of the patch
         self.contact: Contact | None = None
 
     # ---- where it is ----
 
     def meet(self, geometry, patch):
         """Take note of a new patch."""
-        self.geometry, self.patch, self.contact = geometry, patch, None
+        self.geometry, self.patch, self.contact, self.mask = geometry, patch, None, None
 
     def lay_out(self):
         """Take note that the patch has other nodes."""
@@ -155,23 +156,11 @@ class Obstacle:
 
     def candidates(self):
         """(plane, middle, node) of nodes of the patch in quads that may have one inside, plane after plane."""
-        patch = self.patch
-        held = np.flatnonzero(patch.marks.any(axis=(1, 2))) if patch.marks.size else np.zeros(0, np.int64)
-        mask = self.box_mask if self.collider.moves else self.resting_mask
-        masks = [patch.marks[plane] & mask(int(plane)) for plane in held]
-        found = [np.nonzero(bits) for bits in masks]
-        sizes = [len(rows) for rows, _ in found]
-        plane = np.repeat(held, sizes)
-        row, word = (np.concatenate([f[k] for f in found] or [np.zeros(0, np.int64)]) for k in (0, 1))
-        bits = np.concatenate([b[f] for b, f in zip(masks, found, strict=True)] or [np.zeros(0, np.uint32)])
-        one, bit = np.nonzero((bits[:, None] >> np.arange(QUADS, dtype=np.uint32)) & np.uint32(1))
+        bits = self.patch.marks & (self.box_mask() if self.collider.moves else self.resting_mask())
+        plane, row, word = np.nonzero(bits)
+        one, bit = np.nonzero((bits[plane, row, word, None] >> np.arange(QUADS, dtype=np.uint32)) & np.uint32(1))
         quad = QUADS * word[one] + bit
-        four = np.arange(4)
-        return (
-            np.repeat(plane[one], 4),
-            np.repeat(row[one], 4),
-            (4 * quad[:, None] + four).reshape(-1),
-        )
+        return np.repeat(plane[one], 4), np.repeat(row[one], 4), (4 * quad[:, None] + np.arange(4)).reshape(-1)
 
     def coordinates(self, place, numbers):
         """m along the axis of an array axis, of planes, rows or nodes of rows of the patch."""
@@ -199,20 +188,24 @@ class Obstacle:
         x, margin = self.coordinates(place, numbers), ON_SURFACE * self.geometry.cell_size
         return (x >= low[axis] - margin) & (x <= high[axis] + margin)
 
-    def box_mask(self, plane):
-        """(rows, words) of quads of a plane that meet the box around it."""
-        rows, words = self.patch.marks.shape[1:]
-        if not self.within_box(0, np.array([plane]))[0]:
-            return np.zeros((rows, words), np.uint32)
-        middles = self.within_box(1, np.arange(rows))
+    def box_mask(self):
+        """Marks of the quads of the patch that meet the box around it, see kernels.spans."""
+        planes, rows, words = self.patch.marks.shape
         quads = self.within_box(2, np.arange(4 * QUADS * words)).reshape(-1, 4).any(axis=1)
-        return packed(middles[:, None] & quads[None])
+        across = self.within_box(0, np.arange(planes))[:, None] & self.within_box(1, np.arange(rows))
+        return np.where(across[:, :, None], packed(quads[None])[0], np.uint32(0))
 
-    def resting_mask(self, plane):
-        """(rows, words) of quads of a plane with a node inside: found once, for it rests."""
-        number = self.patch.first_plane + plane
+    def resting_mask(self):
+        """Marks of the quads of the patch with a node inside: found once for each plane, for it rests."""
+        if self.mask is None:
+            planes, rows, words = self.patch.marks.shape
+            masks = [self.plane_mask(plane) for plane in range(planes)]
+            self.mask = np.stack(masks) if masks else np.zeros((0, rows, words), np.uint32)
+        return self.mask
+
+    def plane_mask(self, plane):
+        number, (_, rows, words) = self.patch.first_plane + plane, self.patch.marks.shape
         if number not in self.masks:
-            rows, words = self.patch.marks.shape[1:]
             within = np.zeros((rows, 4 * QUADS * words), bool)
             if self.within_box(0, np.array([plane]))[0]:
                 middles = np.flatnonzero(self.within_box(1, np.arange(rows)))

@@ -32,8 +32,9 @@ def run_several(names, folder, ranks=None, settings=SETTINGS, limit=600):
     folder.mkdir(parents=True, exist_ok=True)
     plan = []
     for name in names:
-        scene = Scene.builtin(name, settings[name])
-        plan.append([name, settings[name] | {"output.fields": bits.all_fields(scene)}, str(folder / name), STEPS])
+        own = settings.get(name, {})
+        fields = {"output.fields": bits.all_fields(Scene.builtin(name, own))}
+        plan.append([name, own | fields, str(folder / name), STEPS])
     path = folder / "plan.json"
     path.write_text(json.dumps(plan), encoding="utf-8")
     done = launch.python([DRIVER, path], ranks, limit, folder)

@@ -5,14 +5,30 @@ from collections.abc import Iterator
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_serializer, model_serializer, model_validator
+from pydantic import Field, field_serializer, model_serializer, model_validator
 
 from pmpm.scene.forcing import Velocity, wrong_velocity
 from pmpm.scene.messages import Problem, Problems, value_text
 from pmpm.scene.part import Part
-from pmpm.scene.recorded import function_or, record, refuse_record
+from pmpm.scene.recorded import FROM_PYTHON, function_or, record, refuse_record
 from pmpm.scene.shapes import Bounds, Shape, wrong_length
-from pmpm.scene.values import check_number, check_vector, check_word, choice, flag, number, plain, text, vector
+from pmpm.scene.values import (
+    Checked,
+    check_number,
+    check_vector,
+    check_word,
+    checked,
+    choice,
+    either,
+    flag,
+    number,
+    number_told,
+    plain,
+    short_told,
+    text,
+    vector,
+    vector_told,
+)
 
 SURFACES = ("stick", "slip", "separate", "friction")
 NORMAL_STEP = 1e-3  # cells: over which the distance is differenced
@@ -66,13 +82,17 @@ def check_distance(value: Any) -> Any:
     return value
 
 
+TIMES = {"type": "array", "items": number_told(), "minItems": 1, "x-unit": "s"}
+PLACES = {"type": "array", "items": vector_told(), "x-unit": "m"}
+
+
 class Path(Part):
     """Where a collider is at given times: moved from its place in the scene, straight from one time to the next."""
 
-    times: Annotated[tuple[float, ...], BeforeValidator(lambda value: rising(value))] = Field(
+    times: Annotated[tuple[float, ...], checked(lambda value: rising(value), TIMES)] = Field(
         description="times, each later than the one before (s)"
     )
-    displacements: Annotated[tuple[tuple[float, ...], ...], BeforeValidator(lambda value: vectors(value))] = Field(
+    displacements: Annotated[tuple[tuple[float, ...], ...], checked(lambda value: vectors(value), PLACES)] = Field(
         description="displacement at each of the times (m)"
     )
 
@@ -114,16 +134,18 @@ class Collider(Part):
         default=None, description="in diagnostics; collider_0, collider_1 ... if not given"
     )
     shape: Shape | None = Field(default=None, description="table with a type and its measures")
-    distance: Annotated[Any, BeforeValidator(check_distance)] = Field(
+    distance: Annotated[Any, checked(check_distance, FROM_PYTHON)] = Field(
         default=None,
         description="from Python, instead of a shape: function d(x, t) of places (n, dim) in m and time in s that returns the "
         "distance to the surface (n,), m, negative inside",
     )
-    surface: Annotated[Surface, BeforeValidator(surface_table)] = Field(
+    surface: Annotated[Surface, Checked(surface_table, told=short_told(SURFACES))] = Field(
         default=Surface(type="separate"), description=f"one of {', '.join(SURFACES)}; friction with its coefficient"
     )
     velocity: Velocity = Field(default=None, description="vector, or a function of time (m/s)")
-    angular_velocity: Annotated[Any, BeforeValidator(function_or(check_spin))] = Field(default=None, description=SPIN)
+    angular_velocity: Annotated[
+        Any, checked(function_or(check_spin), either(number_told("deg/s"), vector_told("deg/s")))
+    ] = Field(default=None, description=SPIN)
     pivot: Annotated[tuple[float, ...] | None, vector("m")] = Field(
         default=None, description="point that it turns about and torques are taken about; the middle if not given (m)"
     )

@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_serializer
+from pydantic import Field, field_serializer
 
 from pmpm.scene import start
 from pmpm.scene.functions import Unfit
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.part import Part
-from pmpm.scene.recorded import record, refuse_record
-from pmpm.scene.values import finite
+from pmpm.scene.recorded import FROM_PYTHON, record, refuse_record
+from pmpm.scene.values import Checked, checked, finite
 
 
-def function_of(name: str) -> BeforeValidator:
+def function_of(name: str) -> Checked:
     """Accept a function of (X, t)."""
 
     def check(value: Any) -> Any:
@@ -26,7 +26,7 @@ def function_of(name: str) -> BeforeValidator:
             raise Problems(Problem((), f"must be a function {name}(X, t), from Python", value))
         return value
 
-    return BeforeValidator(check)
+    return checked(check, FROM_PYTHON)
 
 
 class Exact(Part):

@@ -6,14 +6,14 @@ from types import FunctionType
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_serializer, model_validator
+from pydantic import Field, field_serializer, model_validator
 
 from pmpm.scene import functions
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.part import Part
-from pmpm.scene.recorded import function_or, record, refuse_record
+from pmpm.scene.recorded import FROM_PYTHON, function_or, record, refuse_record
 from pmpm.scene.shapes import Shape, wrong_length
-from pmpm.scene.values import check_vector, flag, vector
+from pmpm.scene.values import check_vector, checked, flag, vector, vector_told
 
 Path = tuple[str | int, ...]
 NODES_AT_A_TIME, MOST_NODES_TRIED = 1 << 17, 20_000_000
@@ -43,7 +43,8 @@ def wrong_velocity(velocity: Any, dim: int) -> Iterator[Problem]:
         )
 
 
-Velocity = Annotated[Any, BeforeValidator(function_or(check_vector("m/s")))]  # constant, or a function of time (s)
+# Constant, or a function of time (s).
+Velocity = Annotated[Any, checked(function_or(check_vector("m/s")), vector_told("m/s"))]
 
 
 # ---- loads and regions -----------------------------------------------------------------------------------------------------
@@ -145,4 +146,4 @@ def wrong_body_force(function: Any, dim: int, size: tuple[float, ...]) -> Iterat
         yield Problem(("body_force",), f"{complaint}; {functions.RULES}", record(function))
 
 
-BodyForce = Annotated[Any, BeforeValidator(body_force_function)]
+BodyForce = Annotated[Any, checked(body_force_function, FROM_PYTHON)]

@@ -5,7 +5,7 @@ from functools import cache, reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, create_model, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationError, create_model, model_validator
 
 from pmpm.physics.materials import LAWS, law_of, own_law, python_law
 from pmpm.physics.materials.keys import Key
@@ -13,7 +13,7 @@ from pmpm.physics.materials.own_law import Law
 from pmpm.scene import functions
 from pmpm.scene.messages import TAG, Problem, Problems, known_text, problems_in
 from pmpm.scene.part import Part
-from pmpm.scene.values import check_word, choice, flag, number
+from pmpm.scene.values import Checked, Told, check_word, choice, flag, number
 
 RESERVED = ("law", "sound_speed")  # names that a function cannot give to its parameters
 
@@ -129,14 +129,19 @@ def field_of(key: Key) -> tuple[Any, Any]:
     return Annotated[float | None, check], Field(default, description=description)
 
 
-def model_of(name: str, keys: Iterable[Key], base: type[Material] = Material) -> Any:
-    """Make the class of a law's materials from its table of keys."""
+def model_of(name: str, keys: Iterable[Key], base: type[Material] = Material, about: str | None = None) -> Any:
+    """Make the class of a law's materials from its table of keys; `about`: what its JSON schema says of it."""
     model: Any = (Literal[name], Field(name))
     fields: dict[str, Any] = {"model": model} | {key.name: field_of(key) for key in keys}
-    return create_model(name, __base__=base, **fields)
+    return create_model(name, __base__=base, __doc__=about, **fields)
 
 
-MODELS: dict[str, Any] = {name: model_of(name, law.KEYS) for name, law in LAWS.items()}
+def summary(law: Any) -> str:
+    """Return the first sentence of what a law says of itself."""
+    return " ".join(law.__doc__.strip().split("\n\n")[0].split()).split(". ")[0].rstrip(".") + "."
+
+
+MODELS: dict[str, Any] = {name: model_of(name, law.KEYS, about=summary(law)) for name, law in LAWS.items()}
 
 
 @cache
@@ -191,6 +196,11 @@ def check_material(value: Any) -> Any:
     return value
 
 
+def of_files(told: Told) -> Told:
+    """Take the laws from Python out of the JSON schema of all: a file does not hold them."""
+    return {"oneOf": [one for one in told["oneOf"] if PythonMaterial.__name__ not in one["$ref"]]}
+
+
 def material_tag(value: Any) -> str:
     if isinstance(value, PythonMaterial):
         return TAG + python_law.PREFIX
@@ -209,5 +219,5 @@ else:
             ),
         ),
         Discriminator(material_tag),
-        BeforeValidator(check_material),
+        Checked(check_material, told=of_files),
     ]

@@ -6,11 +6,11 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.part import Part
-from pmpm.scene.values import text
+from pmpm.scene.values import checked, text
 
 PIECE = 1 << 20  # bytes that are read at a time
 folder_of_scene: ContextVar[Path | None] = ContextVar("folder_of_scene", default=None)
@@ -56,7 +56,7 @@ def checksum(path: str) -> str:
 class OutsideFile(Part):
     """What any part of a scene that reads a file has in common: the path, and what tells that the file is still the same."""
 
-    file: Annotated[str, BeforeValidator(check_path)] = Field(
+    file: Annotated[str, checked(check_path, {"type": "string", "minLength": 1})] = Field(
         description="path of the file; a relative one counts from the scene file's folder"
     )
     checksum: Annotated[str | None, text()] = Field(

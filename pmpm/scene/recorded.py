@@ -11,6 +11,7 @@ import numpy as np
 from pmpm.physics.materials.python_law import PREFIX
 from pmpm.scene.messages import Problem, Problems
 
+FROM_PYTHON = {"not": {}, "x-python": True}  # JSON schema of a key that a file cannot hold
 MOST_DEPTH = 10  # of functions that call functions, in a fingerprint
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import tomli_w
-from pydantic import BeforeValidator, Field, ValidationError, field_serializer, model_serializer, model_validator
+from pydantic import Field, ValidationError, field_serializer, model_serializer, model_validator
 
 from pmpm.kernels.needs import STENCILS, TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
@@ -21,7 +21,21 @@ from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_err
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import record
 from pmpm.scene.shapes import AXES, Shape, wrong_length
-from pmpm.scene.values import CONTROLS, check_word, choice, flag, names, number, tables, text, vector, whole
+from pmpm.scene.values import (
+    CONTROLS,
+    Checked,
+    Told,
+    check_word,
+    choice,
+    flag,
+    names,
+    number,
+    short_told,
+    tables,
+    text,
+    vector,
+    whole,
+)
 from pmpm.state.fields import OUTPUT_NAMES
 from pmpm.state.fields import Field as StoredField
 
@@ -36,6 +50,9 @@ WALL_INTERVAL = 1800.0
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
 ROUNDING = 1e-9
 MOST_CELLS = 2**31
+FACES = tuple(f"{axis}_{end}" for axis in AXES for end in ("min", "max"))
+# What snapshots of a scene file may hold: a file has no laws but the built-in ones.
+FIELDS = tuple(dict.fromkeys((*OUTPUT_NAMES, *(field.name for law in LAWS.values() for field in law.STATE))))
 # Default of what is filled in once the rest of the scene is known.
 LATER: Any = None
 
@@ -45,7 +62,7 @@ class Wall(Part):
 
     type: Annotated[str, choice(WALLS, PLANNED_WALLS)] = Field(description=f"one of {', '.join(WALLS)}")
     coefficient: Annotated[float, number(at_least=0.0)] = Field(
-        default=0.0, description="coefficient of Coulomb friction"
+        default=0.0, description="coefficient of Coulomb friction, of a friction wall"
     )
     velocity: forcing.Velocity = Field(default=None, description="of the wall: vector, or a function of time (m/s)")
 
@@ -86,6 +103,11 @@ def face_table(value: Any) -> Any:
     return dict(value)
 
 
+def faces_told(table: Told) -> Told:
+    walls = dict.fromkeys(FACES, table["additionalProperties"])
+    return {"type": "object", "properties": walls, "additionalProperties": False}
+
+
 class Domain(Part):
     """The box that the grid fills, the faces around it, and gravity."""
 
@@ -96,10 +118,12 @@ class Domain(Part):
     gravity: Annotated[tuple[float, ...], vector("m/s2")] = Field(
         default=LATER, description="acceleration of gravity, zero if not given (m/s2)"
     )
-    walls: Annotated[dict[str, Annotated[Wall, BeforeValidator(wall_table)]], BeforeValidator(face_table)] = Field(
-        default_factory=dict, description="face -> wall; separate where not given"
+    walls: Annotated[
+        dict[str, Annotated[Wall, Checked(wall_table, told=short_told(WALLS))]], Checked(face_table, told=faces_told)
+    ] = Field(default_factory=dict, description="face -> wall; separate where not given")
+    periodic: Annotated[tuple[str, ...], names(AXES)] = Field(
+        default=(), description="axes along which the domain repeats"
     )
-    periodic: Annotated[tuple[str, ...], names()] = Field(default=(), description="axes along which the domain repeats")
 
     @property
     def dim(self) -> int:
@@ -169,7 +193,9 @@ class Domain(Part):
 class Method(Part):
     """The scheme."""
 
-    transfer: Annotated[str, choice(tuple(TRANSFERS))] = Field(default="apic", description="transfer scheme")
+    transfer: Annotated[str, choice(tuple(TRANSFERS))] = Field(
+        default="apic", description="transfer scheme between particles and grid"
+    )
     flip_blend: Annotated[float | None, number(at_least=0.0, at_most=1.0)] = Field(
         default=None, description=f"part of FLIP, the rest being PIC, of flip and aflip: {FLIP_BLEND} if not given"
     )
@@ -258,7 +284,10 @@ class Body(Part):
     deformation: Annotated[Any, start.matrix_field()] = Field(
         default=None, description="elastic deformation gradient at the start; from Python also a function of position"
     )
-    pressure: Annotated[str, choice(("zero", "hydrostatic"))] = Field(default="zero", description="at the start")
+    pressure: Annotated[str, choice(("zero", "hydrostatic"))] = Field(
+        default="zero",
+        description="at the start; hydrostatic: a fluid at rest under gravity beneath the top of its shape",
+    )
     stress: Geostatic | None = Field(default=None, description='at the start, such as { type = "geostatic" }')
 
     @field_serializer("velocity", "displacement", "deformation")
@@ -275,7 +304,7 @@ class Output(Part):
     diagnostics_interval: Annotated[float, number("s", above=0.0)] = Field(
         default=LATER, description=f"between rows of diagnostics, end/{DIAGNOSTICS} if not given (s)"
     )
-    fields: Annotated[tuple[str, ...], names()] = Field(
+    fields: Annotated[tuple[str, ...], names(FIELDS)] = Field(
         default=("velocity", "pressure", "material"), description="particle fields in a snapshot"
     )
     checkpoint_interval: Annotated[float | None, number("s", above=0.0)] = Field(
@@ -335,9 +364,9 @@ class Scene(Part):
     domain: Domain = Field(description="table with size and cell_size")
     method: Method = Field(default=Method(), description="table of the scheme")
     time: Time = Field(description="table with end")
-    materials: Annotated[dict[str, AnyMaterial], BeforeValidator(material_table)] = Field(
-        description="one table for each material, like [materials.sand]"
-    )
+    materials: Annotated[
+        dict[str, AnyMaterial], Checked(material_table, told=lambda table: table | {"minProperties": 1})
+    ] = Field(description="one table for each material, like [materials.sand]")
     bodies: Annotated[tuple[Body, ...], tables("body")] = Field(description="one table [[bodies]] for each body")
     body_force: forcing.BodyForce = Field(
         default=None, description="function b(x, X, t): acceleration (m/s2) at a place, a reference place and a time"

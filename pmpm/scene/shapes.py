@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from pmpm.scene.messages import TAG, Problem, Problems, known_text
 from pmpm.scene.part import Part
 from pmpm.scene.terrain import Terrain
-from pmpm.scene.values import check_vector, check_word, number, tables, vector
+from pmpm.scene.values import check_vector, check_word, checked, either, number, tables, vector, vector_told
 
 AXES = ("x", "y", "z")
 PLANNED_SHAPES = ("mesh", "particles")
@@ -88,12 +88,15 @@ def axis_vector(value: Any) -> Any:
     return direction
 
 
+AXIS_TOLD = either({"enum": list(AXES)}, vector_told() | {"minItems": 3})
+
+
 class Cylinder(Part):
     """A solid round cylinder about an axis, boundary included; 3-D only. `center` is the middle of its axis."""
 
     type: Literal["cylinder"] = "cylinder"
     center: Annotated[tuple[float, ...], vector("m")] = Field(description="middle of the cylinder (m)")
-    axis: Annotated[tuple[float, ...], BeforeValidator(axis_vector)] = Field(
+    axis: Annotated[tuple[float, ...], checked(axis_vector, AXIS_TOLD)] = Field(
         description='direction of the axis: "x", "y", "z" or three numbers'
     )
     radius: Annotated[float, number("m", above=0.0)] = Field(description="radius (m)")

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from pydantic import BeforeValidator
 
 from pmpm.kernels import targets
 from pmpm.kernels.needs import law_needs
@@ -18,7 +17,7 @@ from pmpm.physics import tensors2, tensors3
 from pmpm.scene.functions import Unfit
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.recorded import function_or
-from pmpm.scene.values import check_vector
+from pmpm.scene.values import Checked, check_vector, checked, number_told, vector_told
 
 TRIED = 5  # places; not a number of dimensions, so that rows and columns cannot be confused
 CANDIDATES = 4096
@@ -28,14 +27,16 @@ SAME = 1e-6  # how far rows may differ between one point by itself and the same 
 # ---- what a scene may give ----
 
 
-def vector_field(unit: str) -> BeforeValidator:
+def vector_field(unit: str) -> Checked:
     """Accept two or three finite numbers, or a function of position."""
-    return BeforeValidator(function_or(check_vector(unit)))
+    return checked(function_or(check_vector(unit)), vector_told(unit))
 
 
-def matrix_field() -> BeforeValidator:
+def matrix_field() -> Checked:
     """Accept a square matrix, row by row, or a function of position."""
-    return BeforeValidator(function_or(check_matrix))
+    square = [{"minItems": n, "maxItems": n, "items": {"minItems": n, "maxItems": n}} for n in (2, 3)]
+    rows = {"type": "array", "items": {"type": "array", "items": number_told()}}
+    return checked(function_or(check_matrix), rows | {"anyOf": square})
 
 
 def check_matrix(value: Any) -> tuple[tuple[float, ...], ...]:

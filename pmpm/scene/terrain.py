@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.outside import OutsideFile, check_path, checksum
-from pmpm.scene.values import check_number, choice, number, text, vector
+from pmpm.scene.values import check_number, checked, choice, either, number, number_told, text, vector
 
 KINDS = (".npy", ".npz", ".asc", ".tif", ".tiff")
 HEIGHTS = ("elevation", "height", "z", "depth")  # names of arrays in .npz files, the first that is there
@@ -68,11 +68,15 @@ def depth_of(value: Any) -> Any:
     return check_path(value) if isinstance(value, str | Path) else check_number("m", above=0.0)(value)
 
 
+LENGTH = number_told("m", above=0.0)
+SPACING = either(LENGTH, {"type": "array", "items": LENGTH, "minItems": 1, "maxItems": 2})
+
+
 class Terrain(OutsideFile):
     """The solid ground below a height map (a profile in 2-D), or with `depth` the layer that lies on it."""
 
     type: Literal["terrain"] = "terrain"
-    spacing: Annotated[tuple[float, ...] | None, BeforeValidator(lambda value: lengths(value))] = Field(
+    spacing: Annotated[tuple[float, ...] | None, checked(lambda value: lengths(value), SPACING)] = Field(
         default=None,
         description="between samples: one number, or one along x and one along y; .asc and .tif tell it (m)",
     )
@@ -86,7 +90,7 @@ class Terrain(OutsideFile):
         description="at which end of y a file's first row is: north for .asc and .tif, else south if not given",
     )
     variable: Annotated[str | None, text()] = Field(default=None, description="name of the array in a .npz file")
-    depth: Annotated[float | str | None, BeforeValidator(depth_of)] = Field(
+    depth: Annotated[float | str | None, checked(depth_of, either({"type": "string"}, LENGTH))] = Field(
         default=None, description="of a layer on the ground: a number (m), or the path of a map of the same samples"
     )
     depth_checksum: Annotated[str | None, text()] = Field(default=None, description="of a map of depths, filled in")

@@ -1,8 +1,12 @@
-"""The kinds of values a scene key can take; each checks type, finiteness and range before anything is allocated."""
+"""The kinds of values a scene key can take; each checks type, finiteness and range before anything is allocated.
+
+Each also tells what it accepts as a JSON schema, for editors and for the reference of all keys (`json_schema`).
+"""
 
 import math
 import re
 from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
 from typing import Any
 
 from pydantic import BeforeValidator
@@ -10,18 +14,63 @@ from pydantic import BeforeValidator
 from pmpm.scene.messages import Problem, Problems, known_text
 
 Check = Callable[[Any], Any]
+Told = dict[str, Any]
 # What XML cannot hold, and what makes a terminal do something; lines and tabs may be.
 CONTROLS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
-def number(unit: str = "-", only: float | None = None, **bounds: float | None) -> BeforeValidator:
+@dataclass(frozen=True, eq=False)
+class Checked(BeforeValidator):
+    """A check of a value before pydantic sees it, that tells what it accepts: `told` gets the JSON schema of the annotated
+    type and returns that of what may stand in a file."""
+
+    told: Callable[[Told], Told] = field(kw_only=True)
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> Told:
+        return self.told(handler(core_schema))
+
+
+def checked(check: Check, told: Told) -> Checked:
+    """Return a check that tells this JSON schema, whatever the annotated type is."""
+    return Checked(check, told=lambda _: dict(told))
+
+
+def number(unit: str = "-", only: float | None = None, **bounds: float | None) -> Checked:
     """Accept one finite number within `bounds` (above, at_least, below, at_most); only `only` is built, if given."""
-    return BeforeValidator(check_number(unit, only, **bounds))
+    told = number_told(unit, **bounds) | ({} if only is None else {"const": only})
+    return checked(check_number(unit, only, **bounds), told)
 
 
-def vector(unit: str = "-", **bounds: float | None) -> BeforeValidator:
+def vector(unit: str = "-", **bounds: float | None) -> Checked:
     """Accept two or three finite numbers, each within `bounds`."""
-    return BeforeValidator(check_vector(unit, **bounds))
+    return checked(check_vector(unit, **bounds), vector_told(unit, **bounds))
+
+
+def number_told(unit: str = "-", **bounds: float | None) -> Told:
+    """JSON schema of a number within `bounds`."""
+    words = {"above": "exclusiveMinimum", "at_least": "minimum", "below": "exclusiveMaximum", "at_most": "maximum"}
+    limits = {words[name]: bound for name, bound in bounds.items() if bound is not None}
+    return {"type": "number", **limits, **unit_told(unit)}
+
+
+def vector_told(unit: str = "-", **bounds: float | None) -> Told:
+    """JSON schema of two or three numbers, each within `bounds`."""
+    return {"type": "array", "items": number_told("-", **bounds), "minItems": 2, "maxItems": 3, **unit_told(unit)}
+
+
+def unit_told(unit: str) -> Told:
+    return {} if unit == "-" else {"x-unit": unit}
+
+
+def either(*told: Told) -> Told:
+    """JSON schema of what any of these accepts; the unit is theirs."""
+    units = {one["x-unit"] for one in told if "x-unit" in one}
+    return {"anyOf": list(told), **(unit_told(units.pop()) if len(units) == 1 else {})}
+
+
+def short_told(words: Collection[str]) -> Callable[[Told], Told]:
+    """JSON schema of a table that may be given by its type alone, except for friction, which needs a coefficient."""
+    return lambda table: either({"enum": [word for word in words if word != "friction"]}, table)
 
 
 def check_number(unit: str, only: float | None = None, **bounds: float | None) -> Check:
@@ -64,7 +113,7 @@ def check_vector(unit: str, **bounds: float | None) -> Check:
     return check
 
 
-def whole(at_least: int, at_most: int) -> BeforeValidator:
+def whole(at_least: int, at_most: int) -> Checked:
     """Accept one whole number in a closed range."""
 
     def check(value: Any) -> Any:
@@ -73,17 +122,17 @@ def whole(at_least: int, at_most: int) -> BeforeValidator:
             raise Problems(Problem((), f"must be a whole number from {at_least} to {at_most}", value))
         return value
 
-    return BeforeValidator(check)
+    return checked(check, {"type": "integer", "minimum": at_least, "maximum": at_most})
 
 
-def choice(built: Collection[str], planned: Collection[str] = ()) -> BeforeValidator:
+def choice(built: Collection[str], planned: Collection[str] = ()) -> Checked:
     """Accept one of the `built` words; those `planned` are known but not built yet."""
 
     def check(value: Any) -> Any:
         check_word(plain(value), built, planned)
         return value
 
-    return BeforeValidator(check)
+    return checked(check, {"enum": list(built)})
 
 
 def check_word(value: Any, built: Collection[str], planned: Collection[str] = (), path: tuple = ()) -> None:
@@ -95,8 +144,8 @@ def check_word(value: Any, built: Collection[str], planned: Collection[str] = ()
     raise Problems(Problem(path, f"is not known; {known_text(value, built, 'known are')}", value))
 
 
-def names() -> BeforeValidator:
-    """Accept a list of words without repetition."""
+def names(known: Collection[str] = ()) -> Checked:
+    """Accept a list of words without repetition; if any are `known`, no others may stand in a file: checked elsewhere."""
 
     def check(value: Any) -> Any:
         if not isinstance(value, list | tuple) or not all(isinstance(item, str) for item in value):
@@ -106,10 +155,11 @@ def names() -> BeforeValidator:
             raise Problems(*(Problem((index,), "is named twice", value[index]) for index in twice))
         return tuple(value)
 
-    return BeforeValidator(check)
+    word = {"enum": list(known)} if known else {"type": "string"}
+    return checked(check, {"type": "array", "items": word, "uniqueItems": True})
 
 
-def flag() -> BeforeValidator:
+def flag() -> Checked:
     """Accept true or false."""
 
     def check(value: Any) -> Any:
@@ -117,10 +167,10 @@ def flag() -> BeforeValidator:
             raise Problems(Problem((), "must be true or false", value))
         return bool(value)
 
-    return BeforeValidator(check)
+    return checked(check, {"type": "boolean"})
 
 
-def text() -> BeforeValidator:
+def text() -> Checked:
     """Accept a string that can stand in the index of the snapshots and on a screen."""
 
     def check(value: Any) -> Any:
@@ -130,10 +180,10 @@ def text() -> BeforeValidator:
             raise Problems(Problem((), "must hold no control characters", value))
         return value
 
-    return BeforeValidator(check)
+    return checked(check, {"type": "string"})
 
 
-def tables(singular: str, least: int = 1) -> BeforeValidator:
+def tables(singular: str, least: int = 1) -> Checked:
     """Accept a list with at least so many entries."""
 
     def check(value: Any) -> Any:
@@ -143,7 +193,7 @@ def tables(singular: str, least: int = 1) -> BeforeValidator:
             raise Problems(Problem((), f"must have at least one {singular}", value))
         return list(value)
 
-    return BeforeValidator(check)
+    return Checked(check, told=lambda inner: inner | ({"minItems": least} if least else {}))
 
 
 def plain(value: Any) -> Any:

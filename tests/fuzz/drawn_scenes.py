@@ -295,8 +295,7 @@ def collider(draw, cells, h, number):
         {"type": "box", "min": low, "max": [x + 0.8 for x in center]},
         {"type": "plane", "point": [0.3] * dim, "normal": up},
         {"type": "terrain", "file": MAPS[dim]} | ground,
-        {"type": "intersection", "of": [{"type": "plane", "point": low, "normal": up}, {"type": "terrain", "file": MAPS[dim]}
-            | ground | {"depth": 0.5 * h, "least_depth": 0.0}]},
+        {"type": "terrain", "file": MAPS[dim]} | ground | {"depth": 0.5 * h, "least_depth": 0.0},
     ]  # fmt: skip
     slow, kind = vectors(-0.05, 0.05, dim), draw(st.sampled_from(("velocity", "path", "rests")))
     times = sorted(draw(st.sets(st.integers(0, 10), min_size=1, max_size=3)))

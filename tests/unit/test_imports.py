@@ -35,8 +35,9 @@ def test_one_rank_of_dam_break_loads_neither_mpi_nor_cuda_nor_meshes(tmp_path):
     assert {"numba", "h5py"} <= loaded
 
 
-def test_listing_scenes_needs_no_kernels(tmp_path):
-    assert "numba" not in modules_after("from pmpm.cli import main\nmain(['scenes'])", tmp_path)
+@pytest.mark.parametrize("command", ["scenes", "schema"])
+def test_telling_of_scenes_needs_no_kernels(tmp_path, command):
+    assert "numba" not in modules_after(f"from pmpm.cli import main\nmain([{command!r}])", tmp_path)
 
 
 def test_a_driven_point_needs_no_kernels_no_mpi_and_no_pictures(tmp_path):

@@ -13,7 +13,25 @@ from pmpm.scene import files
 from pmpm.scene.errors import NotBuilt, SceneError
 from pmpm.scene.schema import Body, Domain, Scene, Time, Wall
 
-BUILTIN = ("colliding_disks", "column_collapse", "column_collapse_3d", "dam_break", "dam_break_3d", "mixed_materials")
+BUILTIN = (
+    "cantilever",
+    "colliding_disks",
+    "column_collapse",
+    "column_collapse_3d",
+    "dam_break",
+    "dam_break_3d",
+    "dam_break_obstacle",
+    "hopper",
+    "landslide",
+    "mixed_materials",
+    "mud_slump",
+    "plough",
+    "rotating_drum",
+    "sliding_block",
+    "slope_failure",
+    "snowballs",
+    "taylor_bar",
+)
 
 
 @pytest.fixture
