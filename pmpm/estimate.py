@@ -13,6 +13,7 @@ from pmpm import timestep
 from pmpm.physics import stability
 from pmpm.scene import start
 from pmpm.scene.errors import SceneError
+from pmpm.scene.forcing import velocity_at
 from pmpm.scene.seeding import meeting_later_bodies, surroundings
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
@@ -50,7 +51,7 @@ def places_to_try(scene):
 
 def particles(scene):
     """(bodies,) about how many particles each body gets: from the share of a few places in its bounds that lie in it."""
-    count = max(FEWEST_SAMPLES, min(SAMPLES, ALL_SAMPLES // len(scene.bodies)))
+    count = max(FEWEST_SAMPLES, min(SAMPLES, ALL_SAMPLES // max(len(scene.bodies), 1)))
     around = surroundings(scene)
     return np.array([particles_of(scene, number, count, around) for number in range(len(scene.bodies))])
 
@@ -219,20 +220,28 @@ def amount(size):
 
 def stable_bounds(scene, needs, tables):
     """The longest step in s of undeformed particles by each of timestep.BOUNDS; of what drives them gravity alone counts."""
+    dx, wave = scene.domain.cell_size, max(waves_at_rest(scene, needs, tables))
+    speed = max((start.largest_speed(body, scene.dim) for body in scene.bodies), default=0.0)
+    for inflow in scene.inflows:
+        speed = max(speed, math.hypot(*velocity_at(inflow.velocity, inflow.start)))
+    pull = 0.0 if scene.time.ramp > 0.0 else math.hypot(*scene.domain.gravity)
+    return timestep.stable_bounds(dx, scene.dim, wave, speed, pull)
+
+
+def waves_at_rest(scene, needs, tables):
+    """Of each law, the speed in m/s of the fastest wave in any of its undeformed materials."""
     from pmpm.kernels import targets
 
-    dx, wave = scene.domain.cell_size, 0.0
-    identity = tuple(map(float, np.eye(scene.dim).ravel()))
+    identity, found = tuple(map(float, np.eye(scene.dim).ravel())), []
     for law, table in zip(needs.laws, tables, strict=True):
-        target = targets.plain(la=needs.tensors, law=law.module, **dict(law.choices))
+        target, wave = targets.plain(la=needs.tensors, law=law.module, **dict(law.choices)), 0.0
         for row in np.unique(table[table[:, 0] > 0], axis=0):
             params = tuple(row[PARAMETERS:])
             rest = target.compile(law.module.state_at)(identity, params)
-            wave = max(wave, target.compile(stability.signal_speed_squared)(rest, params, row[2], 1.0 / dx))
-    wave = math.sqrt(wave)
-    speed = max(start.largest_speed(body, scene.dim) for body in scene.bodies)
-    pull = 0.0 if scene.time.ramp > 0.0 else math.hypot(*scene.domain.gravity)
-    return timestep.stable_bounds(dx, scene.dim, wave, speed, pull)
+            inv_dx = 1.0 / scene.domain.cell_size
+            wave = max(wave, target.compile(stability.signal_speed_squared)(rest, params, row[2], inv_dx))
+        found.append(math.sqrt(wave))
+    return found
 
 
 def first_step(scene, needs, tables):

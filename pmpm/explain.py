@@ -147,7 +147,7 @@ def compiled_kernels(scene, needs, ranks):
     gravity, damped = any(scene.domain.gravity), scene.method.damping > 0.0
     found = {label: law_entries(needs, watches_energy(scene)) for label in labels(needs.laws)}
     found["walls"] = wall_entries(needs)
-    found["shared"] = shared_entries(gravity, damped, cuts)
+    found["shared"] = shared_entries(gravity, damped, cuts, needs.open)
     return {who: names for who, names in found.items() if names}
 
 
@@ -160,7 +160,7 @@ def card_kernels(scene, needs, ranks=1):
     averaged = ["p2g_divergence", "measure_divergence"] if needs.f_bar else []
     guarded = ["sum_energies"] if watches_energy(scene) else []
     found = {label: ["p2g", "g2p", *blended, *averaged, *guarded] for label in labels(needs.laws)}
-    walls = sorted(set(needs.wall_types) - {"free"})
+    walls = sorted(needs.wall_types)
     found["walls"] = [f"{part} {name}" for part in ("wall", "image") for name in walls]
     optional = {
         "add_gravity": any(scene.domain.gravity),

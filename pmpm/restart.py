@@ -21,6 +21,7 @@ WATCHING = r"title|time\.end|output\..+|guard\..+|parallel\..+|exact\..+"
 DRIVING = (
     r"time\.(cfl|step|ramp)|domain\.gravity.*|domain\.walls\..+|method\.(damping|flip_blend|precision)"
     r"|materials\.[^.]+\.(?!model$|density$).+|motions\[\d+\]\.velocity.*"
+    r"|inflows\[\d+\]\.(velocity.*|until|limit)"
 )
 EITHER_OR = {"time.step": "cfl", "time.cfl": "step"}  # of which a scene gives one
 
@@ -209,7 +210,8 @@ def changes(origin, scene):
         raise SceneError(
             f"{origin.path}: {key} = {now} cannot change at a restart (it is {was} in the checkpoint): particles and grid are "
             "what they are. These can: title, time.*, output.*, guard.*, parallel.*, exact.*, domain.gravity, domain.walls.*, "
-            "method.damping, method.flip_blend, method.precision, materials.*.* but model and density, motions[n].velocity"
+            "method.damping, method.flip_blend, method.precision, materials.*.* but model and density, motions[n].velocity, "
+            "inflows[n].velocity, inflows[n].until, inflows[n].limit"
         )
     return differing
 

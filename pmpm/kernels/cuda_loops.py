@@ -361,10 +361,10 @@ def fill_beyond_wall(nodes, met, first, last, normal, velocity):
             fill_beyond_wall_at(nodes, met, i, far, normal, velocity)
 
 
-def impose(nodes, numbers, last, velocity):
-    """Give its velocity to those nodes of a region that hold material."""
+def impose(nodes, numbers, last, velocity, whole):
+    """Give its velocity to those nodes of a region that hold material, or to the whole of it."""
     i = cuda.grid(1)
-    if i < last and nodes[numbers[i], 3] > 0.0:
+    if i < last and (whole or nodes[numbers[i], 3] > 0.0):
         for q in range(DIMENSIONS):
             nodes[numbers[i], q] = velocity[q]
 
