@@ -69,6 +69,30 @@ def particles_of(scene, number, samples, around):
     return float(np.prod((high - low) / dx)) * body.particles_per_cell * np.count_nonzero(inside) / samples
 
 
+@dataclass(frozen=True)
+class Stream:
+    """What an inflow brings: particles at first, per second after that, and in all by its end, if nothing changes its speed."""
+
+    first: float
+    rate: float
+    total: float
+
+
+def stream(scene, inflow):
+    """The Stream of an inflow, from a few places in it: how many it holds, and how many have come in on the way of a cell."""
+    size, velocity = scene.domain.cell_size, np.array(velocity_at(inflow.velocity, inflow.start))
+    low, high = inflow.shape.bounds()
+    places, speed = low + (high - low) * spread_places(SAMPLES, scene.dim), math.hypot(*velocity)
+    inside = inflow.shape.contains(places)
+    each = float(np.prod((high - low) / size)) * inflow.particles_per_cell / SAMPLES
+    came = places - velocity * (size / speed if speed > 0.0 else 0.0)
+    enter = inside & ~inflow.shape.contains(came)
+    first, rate = each * np.count_nonzero(inside), each * np.count_nonzero(enter) * speed / size
+    most = math.inf if inflow.limit is None else inflow.limit / size**scene.dim * inflow.particles_per_cell
+    total = min(first + rate * max(min(inflow.until, scene.time.end) - inflow.start, 0.0), most)
+    return Stream(min(first, most), rate, total)
+
+
 def spread_places(count, dim):
     """(count, dim) places spread evenly over the unit square or cube, always the same: multiples of powers of the root of
     x^(dim + 1) = x + 1 (M. Roberts 2018, a generalisation of the golden ratio)."""
@@ -103,14 +127,16 @@ class Memory:
 
 
 def memory(scene, needs, geometry, counts):
-    """What the particles, `counts` per body, and the grid of a scene take."""
+    """What the particles, `counts` per body, and the grid of a scene take; of inflows what they bring at first counts."""
     from pmpm.scene.needs import law_of_body
 
     sizes = [sum(fields.values()) for fields in bytes_per_particle(needs)]
-    of_body = np.array([sizes[needs.laws.index(law_of_body(scene, body))] for body in scene.bodies], float)
-    filling = of_body * [FILLING if body.displacement is None else FILLING_DISPLACED for body in scene.bodies]
-    held = float(counts @ of_body)
-    cells = sum(count / body.particles_per_cell for count, body in zip(counts, scene.bodies, strict=True))
+    of_source = np.array([sizes[needs.laws.index(law_of_body(scene, source))] for source in scene.sources], float)
+    ways = [FILLING if body.displacement is None else FILLING_DISPLACED for body in scene.bodies]
+    filling = of_source * [*ways, *(FILLING_DISPLACED for _ in scene.inflows)]
+    counts = np.append(counts, [stream(scene, inflow).first for inflow in scene.inflows])
+    held = float(counts @ of_source)
+    cells = sum(count / source.particles_per_cell for count, source in zip(counts, scene.sources, strict=True))
     grid = grid_bytes(needs, geometry, float(cells))
     return Memory(held, float(counts @ filling), grid, held if scene.guard.keep_copy else 0.0)
 

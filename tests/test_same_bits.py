@@ -21,11 +21,13 @@ PLAIN_SUM = Path(__file__).parent / "drivers" / "plain_sum.py"
 # a push, for else nothing crosses its middle, where the cut of two ranks lies. Of mixed_materials a third, until all of it
 # is in contact.
 SHORTER = {
+    "chute_flow": ({"domain.cell_size": 0.01, "time.end": 0.5}, []),
     "colliding_disks": ({}, []),
     "column_collapse": ({"domain.cell_size": 0.005}, []),
     "column_collapse_3d": ({"domain.cell_size": 0.01, "bodies.0.velocity": [0.3, 0.0, 0.0]}, ["--until", "0.08"]),
     "dam_break": ({"domain.cell_size": 0.0028575}, []),
     "dam_break_3d": ({"domain.cell_size": 0.00714375}, []),
+    "jet": ({"domain.cell_size": 0.005, "time.end": 0.15}, []),
     "mixed_materials": ({"domain.cell_size": 0.032}, ["--until", "0.2"]),
 }
 RANKS = [2, 3]

@@ -45,26 +45,28 @@ class Inflow(Part):
             raise Problems(Problem(("until",), f"s must be > start = {self.start} s", self.until))
         return self
 
-    def misfits(self, dim: int, cell_size: float) -> Iterator[Problem]:
-        """Yield what does not fit a scene of `dim` dimensions and cells of this size (m)."""
-        wrong = list(forcing.wrong_velocity(self.velocity, dim))
-        wrong += [Problem(("shape", *p.path), p.text, p.value) for p in self.shape.misfits(dim)]
-        count = 2**dim if self.particles_per_cell is None else self.particles_per_cell
-        along = round(count ** (1 / dim))
+    def misfits(self, dim: int) -> Iterator[Problem]:
+        """Yield what does not fit a scene of `dim` dimensions."""
+        yield from forcing.wrong_velocity(self.velocity, dim)
+        yield from (Problem(("shape", *p.path), p.text, p.value) for p in self.shape.misfits(dim))
+        count, along = self.lattice(dim)
         if along**dim != count:
             kind = "square" if dim == 2 else "cube"
             near = [n**dim for n in (int(count ** (1 / dim)), int(count ** (1 / dim)) + 1) if n > 0]
             text = (
                 f"must be a perfect {kind}, for a stream comes on a lattice; the nearest are {near[0]} and {near[-1]}"
             )
-            wrong.append(Problem(("particles_per_cell",), text, count))
-        yield from wrong
-        if not wrong:
-            yield from self.too_small(dim, cell_size, cell_size / along)
+            yield Problem(("particles_per_cell",), text, count)
 
-    def too_small(self, dim: int, cell_size: float, spacing: float) -> Iterator[Problem]:
-        """Yield what keeps a stream from being whole."""
+    def lattice(self, dim: int) -> tuple[int, int]:
+        """Return particles per cell, and along each axis of one."""
+        count = 2**dim if self.particles_per_cell is None else self.particles_per_cell
+        return count, round(count ** (1 / dim))
+
+    def too_small(self, dim: int, cell_size: float) -> Iterator[Problem]:
+        """Yield what keeps a stream from being whole, in cells of this size (m), where nothing else is wrong."""
         low, high = self.shape.bounds()
+        spacing = cell_size / self.lattice(dim)[1]
         velocity = forcing.velocity_at(self.velocity, self.start)
         thin = [axis for axis in range(dim) if high[axis] - low[axis] < THINNEST * cell_size * (1.0 - 1e-9)]
         thin = [axis for axis in thin if velocity[axis] or not any(velocity)]

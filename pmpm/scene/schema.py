@@ -474,7 +474,9 @@ class Scene(Part):
         settle(self, inflows=tuple(self.complete_inflow(inflow) for inflow in self.inflows))
         settle(self, output=self.complete_output())
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_start(body, index)]
-        if self.exact is not None:
+        if self.exact is not None and self.inflows:
+            problems.append(Problem(("inflows",), "exclude exact: what flows in starts at no reference position"))
+        elif self.exact is not None:
             problems += wrong_exact(self.exact, self.bodies, self.dim, self.time.end)
         if problems:
             raise Problems(*problems)
@@ -529,11 +531,13 @@ class Scene(Part):
     def wrong_inflow(self, inflow: Inflow, index: int) -> Iterator[Problem]:
         here = ("inflows", index)
         yield from self.wrong_material(inflow, here)
-        misfits = list(inflow.misfits(self.dim, self.domain.cell_size))
+        misfits = list(inflow.misfits(self.dim))
+        beyond = [] if misfits else list(self.outside(inflow, (*here, "shape")))
+        yield from beyond
+        if not misfits and not beyond:
+            misfits = list(inflow.too_small(self.dim, self.domain.cell_size))
         for problem in misfits:
             yield Problem((*here, *problem.path), problem.text, problem.value)
-        if not misfits:
-            yield from self.outside(inflow, (*here, "shape"))
         end = self.time.end if inflow.until is None else inflow.until
         if inflow.start >= end:
             yield Problem((*here, "start"), f"s must be < {end} s, when the stream ends", inflow.start)

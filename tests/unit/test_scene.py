@@ -13,7 +13,16 @@ from pmpm.scene import files
 from pmpm.scene.errors import NotBuilt, SceneError
 from pmpm.scene.schema import Body, Domain, Scene, Time, Wall
 
-BUILTIN = ("colliding_disks", "column_collapse", "column_collapse_3d", "dam_break", "dam_break_3d", "mixed_materials")
+BUILTIN = (
+    "chute_flow",
+    "colliding_disks",
+    "column_collapse",
+    "column_collapse_3d",
+    "dam_break",
+    "dam_break_3d",
+    "jet",
+    "mixed_materials",
+)
 
 
 @pytest.fixture
