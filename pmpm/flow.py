@@ -67,7 +67,7 @@ class Flow:
         """Take the time (s) of the step to come: what comes in during it bounds it. NumericalFailure, on all ranks, where the
         velocity of an inflow turns round or is none."""
         for mouth in self.mouths:
-            mouth.start(time)
+            mouth.begin(time)
         to_come = [mouth for mouth in self.mouths if not mouth.over(time)]
         self.control.floor = (
             max((mouth.speed_at(time) for mouth in to_come), default=0.0),
@@ -190,7 +190,7 @@ class Mouth(Region):
         super().__init__(inflow, scene.dim)
         self.number, self.row, self.law, self.wave = number, row, law, wave
         self.real = np.dtype(scene.method.precision).type
-        self.count, self.last, self.on = 0, None, False
+        self.count, self.last, self.on, self.told = 0, None, False, False
         self.spacing = scene.domain.cell_size / round(inflow.particles_per_cell ** (1 / scene.dim))
         self.most = math.inf if inflow.limit is None else math.floor(inflow.limit / volume + DROPS)
         self.reached = Widened(inflow.shape, 0.5 * geometry.stencil.nodes * geometry.cell_size)
@@ -199,11 +199,16 @@ class Mouth(Region):
         """Whether nothing comes in any more."""
         return time >= self.motion.until or self.count >= self.most
 
-    def start(self, time):
+    def begin(self, time):
+        """Take the time of the step to come: before it particles are put in, and they have its velocity."""
         was, self.on = self.on, self.motion.start <= time and not self.over(time)
         if was != self.on:
             self.found = None
         self.velocity = self.velocity_at(time) if self.on else np.zeros(len(self.travelled))
+        self.told = True
+
+    def start(self, time):
+        """Nothing: new cuts, which start all regions once more, come between `begin` and the step."""
 
     def velocity_at(self, time):
         """(dim,) m/s, in the precision of the run."""
@@ -223,6 +228,7 @@ class Mouth(Region):
         return float(np.linalg.norm(self.velocity_at(max(time, self.motion.start))))
 
     def travel(self, dt):
+        self.told = False
         if self.on:
             self.travelled += float(dt) * self.velocity
 
@@ -233,9 +239,9 @@ class Mouth(Region):
 
     @property
     def due(self):
-        """Whether particles are to be put in before the step that `start` was told of."""
-        if not self.on or self.last is None:
-            return self.on
+        """Whether particles are to be put in before the step that `begin` was told of."""
+        if not (self.told and self.on) or self.last is None:
+            return self.told and self.on
         return bool(np.linalg.norm(self.travelled - self.last) >= (1.0 - EARLY) * self.spacing)
 
     def sheet(self):

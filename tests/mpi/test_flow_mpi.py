@@ -34,7 +34,7 @@ def scene(slab_axis):
             {"material": "water", "shape": {"type": "box", "min": [1.2, 0.0], "max": [1.5, 0.3]}, "velocity": [2.0, 0.5]}
         ],
         inflows=[
-            {"material": "water", "shape": {"type": "box", "min": [0.0, 0.3], "max": [0.1, 0.5]}, "velocity": fading},
+            {"material": "water", "shape": {"type": "box", "min": [0.0, 0.1], "max": [0.1, 0.3]}, "velocity": fading},
             {
                 "material": "rubber",
                 "shape": {"type": "sphere", "center": [0.75, 0.6], "radius": 0.11},
@@ -64,7 +64,7 @@ def test_flows_give_the_bits_of_one_rank_and_balance_over_a_restart_in_between(s
     assert measured["particles"] + measured["left"] == 144 + measured["emitted"]
     assert again.flow.left.min() > 0
     assert again.flow.emitted[2] == 96  # 0.06 m2 of 0.05^2 / 4 each
-    assert min(COMM.sum(together.sent + again.sent)) > 0
+    assert COMM.sum(together.sent + again.sent).sum() > 100
     if COMM.rank == 0:
         one = Simulation.restart(path, made)
         one.run()
