@@ -31,7 +31,11 @@ def scene(slab_axis):
         time={"end": 0.3},
         materials={"rubber": RUBBER, "water": WATER},
         bodies=[
-            {"material": "water", "shape": {"type": "box", "min": [1.2, 0.0], "max": [1.5, 0.3]}, "velocity": [2.0, 0.5]}
+            {
+                "material": "water",
+                "shape": {"type": "box", "min": [1.2, 0.0], "max": [1.5, 0.3]},
+                "velocity": [2.0, 0.5],
+            }
         ],
         inflows=[
             {"material": "water", "shape": {"type": "box", "min": [0.0, 0.1], "max": [0.1, 0.3]}, "velocity": fading},
