@@ -103,7 +103,7 @@ def test_a_scene_without_flows_holds_counts_and_compiles_nothing_of_them():
     simulation.regroup()
     assert simulation.flow is None
     assert not any(name.startswith(("left", "emitted")) for name in simulation.measure())
-    assert "flow" not in simulation.report() and "flow" not in simulation.state().record
+    assert "flow" not in {*simulation.report(), *simulation.state().record}
     entries = simulation.kernels.entries
     assert [entries[name].signatures for name in ("count_beyond", "take_beyond")] == [[], []]
 
@@ -219,7 +219,8 @@ def test_what_comes_in_and_leaves_balances_to_the_particle_at_any_time():
     found = []
     simulation.every(lambda s: found.append(balance(s)), steps=20, at_start=True)
     simulation.run()
-    assert set(found) == {96} and len(found) > 10
+    assert found == [96] * len(found)
+    assert len(found) > 10
     assert min(simulation.flow.left) > 0
 
 
