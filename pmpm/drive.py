@@ -7,15 +7,17 @@ from pmpm.scene.forcing import velocity_at
 
 
 class Drive:
-    """The outside of a scene as one rank's patch meets it. `start` takes the time of a step, the rest follows from it."""
+    """The outside of a scene as one rank's patch meets it. `start` takes the time of a step, the rest follows from it.
 
-    def __init__(self, scene, needs, tables, real):
+    `mouths`: of the inflows (flow.Mouth), the last regions."""
+
+    def __init__(self, scene, needs, tables, real, mouths=()):
         self.scene, self.real, self.dim = scene, real, scene.dim
         self.gravity = np.array(scene.domain.gravity)
         self.has_gravity = bool(self.gravity.any())
         self.gravity_row = np.tile(np.append(self.gravity, np.zeros(4 - self.dim)), WIDTH // 4).astype(real)
         self.damping = scene.method.damping
-        self.regions = [Region(motion, self.dim) for motion in scene.motions]
+        self.regions = [*(Region(motion, self.dim) for motion in scene.motions), *mouths]
         self.obstacles = obstacles_of(scene, needs, tables, real)
         self.others = np.zeros(0, np.int64)  # nodes on which another rank counts what colliders are given
         self.heads = b""
@@ -102,7 +104,9 @@ def obstacles_of(scene, needs, tables, real):
 
 
 class Region:
-    """Nodes of a patch that move as told."""
+    """Nodes of a patch that move as told. `whole`: also those that hold no material."""
+
+    whole = False
 
     def __init__(self, motion, dim):
         self.motion, self.travelled = motion, np.zeros(dim)
@@ -125,15 +129,18 @@ class Region:
 
     def nodes(self):
         """(planes, numbers) of the nodes of the patch that lie in the region now."""
+        return self.found_in(self.motion.shape, self.travelled)
+
+    def found_in(self, shape, shift):
         if self.found is None:
-            self.found = nodes_inside(self.motion.shape, self.travelled, self.geometry, self.patch)
+            self.found = nodes_inside(shape, shift, self.geometry, self.patch)
         return self.found
 
     def impose(self, nodes, first, last):
         """Give its velocity to nodes on planes first .. last - 1 that hold material."""
         plane, number = self.nodes()
         number = number[(plane >= first) & (plane < last)]
-        held = number[nodes[number, 3] > 0.0]
+        held = number if self.whole else number[nodes[number, 3] > 0.0]
         nodes[held, : len(self.velocity)] = self.velocity
 
 

@@ -14,6 +14,7 @@ from pmpm.physics import stability
 from pmpm.scene import start
 from pmpm.scene.colliders import cut_out
 from pmpm.scene.errors import SceneError
+from pmpm.scene.forcing import velocity_at
 from pmpm.scene.seeding import meeting_later_bodies, surroundings
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
@@ -51,7 +52,7 @@ def places_to_try(scene):
 
 def particles(scene):
     """(bodies,) about how many particles each body gets: from the share of a few places in its bounds that lie in it."""
-    count = max(FEWEST_SAMPLES, min(SAMPLES, ALL_SAMPLES // len(scene.bodies)))
+    count = max(FEWEST_SAMPLES, min(SAMPLES, ALL_SAMPLES // max(len(scene.bodies), 1)))
     around = surroundings(scene)
     return np.array([particles_of(scene, number, count, around) for number in range(len(scene.bodies))])
 
@@ -69,6 +70,30 @@ def particles_of(scene, number, samples, around):
     if scene.colliders:
         inside &= ~cut_out(scene.colliders, places)
     return float(np.prod((high - low) / dx)) * body.particles_per_cell * np.count_nonzero(inside) / samples
+
+
+@dataclass(frozen=True)
+class Stream:
+    """What an inflow brings: particles at first, per second after that, and in all by its end, if nothing changes its speed."""
+
+    first: float
+    rate: float
+    total: float
+
+
+def stream(scene, inflow):
+    """The Stream of an inflow, from a few places in it: how many it holds, and how many have come in on the way of a cell."""
+    size, velocity = scene.domain.cell_size, np.array(velocity_at(inflow.velocity, inflow.start))
+    low, high = inflow.shape.bounds()
+    places, speed = low + (high - low) * spread_places(SAMPLES, scene.dim), math.hypot(*velocity)
+    inside = inflow.shape.contains(places)
+    each = float(np.prod((high - low) / size)) * inflow.particles_per_cell / SAMPLES
+    came = places - velocity * (size / speed if speed > 0.0 else 0.0)
+    enter = inside & ~inflow.shape.contains(came)
+    first, rate = each * np.count_nonzero(inside), each * np.count_nonzero(enter) * speed / size
+    most = math.inf if inflow.limit is None else inflow.limit / size**scene.dim * inflow.particles_per_cell
+    total = min(first + rate * max(min(inflow.until, scene.time.end) - inflow.start, 0.0), most)
+    return Stream(min(first, most), rate, total)
 
 
 def spread_places(count, dim):
@@ -105,14 +130,16 @@ class Memory:
 
 
 def memory(scene, needs, geometry, counts):
-    """What the particles, `counts` per body, and the grid of a scene take."""
+    """What the particles, `counts` per body, and the grid of a scene take; of inflows what they bring at first counts."""
     from pmpm.scene.needs import law_of_body
 
     sizes = [sum(fields.values()) for fields in bytes_per_particle(needs)]
-    of_body = np.array([sizes[needs.laws.index(law_of_body(scene, body))] for body in scene.bodies], float)
-    filling = of_body * [FILLING if body.displacement is None else FILLING_DISPLACED for body in scene.bodies]
-    held = float(counts @ of_body)
-    cells = sum(count / body.particles_per_cell for count, body in zip(counts, scene.bodies, strict=True))
+    of_source = np.array([sizes[needs.laws.index(law_of_body(scene, source))] for source in scene.sources], float)
+    ways = [FILLING if body.displacement is None else FILLING_DISPLACED for body in scene.bodies]
+    filling = of_source * [*ways, *(FILLING_DISPLACED for _ in scene.inflows)]
+    counts = np.append(counts, [stream(scene, inflow).first for inflow in scene.inflows])
+    held = float(counts @ of_source)
+    cells = sum(count / source.particles_per_cell for count, source in zip(counts, scene.sources, strict=True))
     grid = grid_bytes(needs, geometry, float(cells))
     return Memory(held, float(counts @ filling), grid, held if scene.guard.keep_copy else 0.0)
 
@@ -222,20 +249,28 @@ def amount(size):
 
 def stable_bounds(scene, needs, tables):
     """The longest step in s of undeformed particles by each of timestep.BOUNDS; of what drives them gravity alone counts."""
+    dx, wave = scene.domain.cell_size, max(waves_at_rest(scene, needs, tables))
+    speed = max((start.largest_speed(body, scene.dim) for body in scene.bodies), default=0.0)
+    for inflow in scene.inflows:
+        speed = max(speed, math.hypot(*velocity_at(inflow.velocity, inflow.start)))
+    pull = 0.0 if scene.time.ramp > 0.0 else math.hypot(*scene.domain.gravity)
+    return timestep.stable_bounds(dx, scene.dim, wave, speed, pull)
+
+
+def waves_at_rest(scene, needs, tables):
+    """Of each law, the speed in m/s of the fastest wave in any of its undeformed materials."""
     from pmpm.kernels import targets
 
-    dx, wave = scene.domain.cell_size, 0.0
-    identity = tuple(map(float, np.eye(scene.dim).ravel()))
+    identity, found = tuple(map(float, np.eye(scene.dim).ravel())), []
     for law, table in zip(needs.laws, tables, strict=True):
-        target = targets.plain(la=needs.tensors, law=law.module, **dict(law.choices))
+        target, wave = targets.plain(la=needs.tensors, law=law.module, **dict(law.choices)), 0.0
         for row in np.unique(table[table[:, 0] > 0], axis=0):
             params = tuple(row[PARAMETERS:])
             rest = target.compile(law.module.state_at)(identity, params)
-            wave = max(wave, target.compile(stability.signal_speed_squared)(rest, params, row[2], 1.0 / dx))
-    wave = math.sqrt(wave)
-    speed = max(start.largest_speed(body, scene.dim) for body in scene.bodies)
-    pull = 0.0 if scene.time.ramp > 0.0 else math.hypot(*scene.domain.gravity)
-    return timestep.stable_bounds(dx, scene.dim, wave, speed, pull)
+            inv_dx = 1.0 / scene.domain.cell_size
+            wave = max(wave, target.compile(stability.signal_speed_squared)(rest, params, row[2], inv_dx))
+        found.append(math.sqrt(wave))
+    return found
 
 
 def first_step(scene, needs, tables):

@@ -23,6 +23,8 @@ def explain(scene, ranks, backend="cpu"):
     counted = estimate.places_to_try(scene) <= estimate.MOST_COUNTED
     counts = rehearse(scene, geometry) if counted else estimate.particles(scene)
     total, ranks = counts.sum(), max(ranks, 1)
+    streams = [estimate.stream(scene, inflow) for inflow in scene.inflows]
+    most = total + sum(stream.total for stream in streams)
     taken = estimate.memory(scene, needs, geometry, counts)
     lines = [
         f"title         {scene.title or '-'}",
@@ -30,10 +32,15 @@ def explain(scene, ranks, backend="cpu"):
         f"of {scene.domain.cell_size:g} m, slabs across {'xyz'[geometry.axes[0]]}",
         f"particles     {count_text(total)} in {len(scene.bodies)} bodies, {count_text(total // ranks)} per rank on "
         f"{ranks} ranks",
+        *(
+            f"inflow        {count_text(s.first)} particles at t = {inflow.start:g} s, then {count_text(s.rate)} per s, "
+            f"{count_text(s.total)} in all"
+            for inflow, s in zip(scene.inflows, streams, strict=True)
+        ),
         *memory_lines(taken, ranks),
         f"time step     {dt:.3g} s at the start{' (fixed)' if scene.time.step else f', cfl {scene.time.cfl:g}'}",
-        f"cost          about {math.ceil(scene.time.end / dt)} steps, {math.ceil(scene.time.end / dt) * total:.3g} "
-        "particle-steps",
+        f"cost          about {math.ceil(scene.time.end / dt)} steps, {'at most ' if streams else ''}"
+        f"{math.ceil(scene.time.end / dt) * most:.3g} particle-steps",
         f"ranks         room for {geometry.layers // geometry.stencil.window or 1}",
         f"method        {scene.method.transfer}, {scene.method.shape_function} splines, {scene.method.precision}",
         f"guard         {guard_text(scene)}",
@@ -148,7 +155,7 @@ def compiled_kernels(scene, needs, ranks):
     found = {label: law_entries(needs, watches_energy(scene)) for label in labels(needs.laws)}
     found["walls"] = wall_entries(needs)
     found["colliders"] = collider_entries(needs)
-    found["shared"] = shared_entries(gravity, damped, cuts)
+    found["shared"] = shared_entries(gravity, damped, cuts, needs.open)
     return {who: names for who, names in found.items() if names}
 
 
@@ -161,7 +168,7 @@ def card_kernels(scene, needs, ranks=1):
     averaged = ["p2g_divergence", "measure_divergence"] if needs.f_bar else []
     guarded = ["sum_energies"] if watches_energy(scene) else []
     found = {label: ["p2g", "g2p", *blended, *averaged, *guarded] for label in labels(needs.laws)}
-    walls = sorted(set(needs.wall_types) - {"free"})
+    walls = sorted(needs.wall_types)
     found["walls"] = [f"{part} {name}" for part in ("wall", "image") for name in walls]
     found["colliders"] = [f"collider {name}" for name in needs.collider_types]
     optional = {
@@ -169,7 +176,7 @@ def card_kernels(scene, needs, ranks=1):
         "damp": scene.method.damping > 0.0,
         "sum_images": any(repeats for axis, repeats in enumerate(needs.periodic) if axis != needs.slab_axis),
         "copy": needs.scheme.blends or needs.f_bar,
-        "impose": bool(scene.motions),
+        "impose": bool(scene.motions or scene.inflows),
         "add_received": ranks > 1 or needs.periodic[needs.slab_axis],
         "clear_reals": needs.driven or bool(guarded),
     }

@@ -25,7 +25,7 @@ def describe(simulation, law, block, lane, cause):
         "law": law,
         "id": int(population.id[block, lane]),
         "position": [float(value) for value in x],
-        "material": simulation.scene.bodies[body].material,
+        "material": simulation.scene.sources[body].material,
         "velocity": [float(value) for value in population.reals[block, layout.where("v"), lane]],
         "cause": cause,
         "state": ", ".join(f"{name} = {np.array2string(value, precision=4)}" for name, value in state.items()),

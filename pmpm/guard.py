@@ -68,6 +68,7 @@ def unknown_work(scene):
     found = {
         "motions": bool(scene.motions),
         "colliders that move": any(collider.moves for collider in scene.colliders),
+        "inflows": bool(scene.inflows),
         f"the moving wall {' and '.join(moving)}": bool(moving),
         f"gravity along the periodic axis {' and '.join(periodic)}": bool(periodic),
         "a law that tells no energy": any(tells_no_energy(material) for material in scene.materials.values()),
@@ -88,6 +89,7 @@ class EnergyWatch:
 
     def __init__(self, simulation):
         scene = simulation.scene
+        self.flow = simulation.flow
         self.comm, self.interval, self.allowed = simulation.comm, scene.guard.interval, scene.guard.energy_gain
         by_waves = estimate.stable_bounds(scene, simulation.needs, simulation.tables)[0]
         self.wave = scene.domain.cell_size / by_waves or 1.0  # m/s; a medium without waves has no unit of its own
@@ -101,7 +103,12 @@ class EnergyWatch:
         self.unit = measured["mass"] * max(self.wave, measured["max_speed"]) ** 2 / UNITS
         found = [self.in_units(measured[name]) for name in ("kinetic", "strain", "potential")]
         self.pending, self.first, self.active = None, int(sum(found)), int(found[KINETIC] + found[STRAIN])
+        self.first -= self.net_flow()
         self.work = 0
+
+    def net_flow(self):
+        """Units that have come in, less those that have left through open faces."""
+        return int(self.in_units(self.flow.net_energy)) if self.flow else 0
 
     def in_units(self, joules):
         """Whole numbers of units, no more than fit; what is not a number counts as the most."""
@@ -110,8 +117,10 @@ class EnergyWatch:
         return np.where(np.isfinite(units), np.clip(units, -self.most, self.most), self.most).astype(np.int64)
 
     def sums(self, simulation):
-        """(4,) int64 kinetic, strain and potential energy of this rank's particles, and the work done on them, in units."""
-        return np.append(self.in_units(simulation.energies()).sum(axis=0), self.work)
+        """(4,) int64 kinetic, strain and potential energy of this rank's particles, and the work done on them, in units; what
+        flows in or out counts as work."""
+        work = self.work + (self.net_flow() if self.comm.rank == 0 else 0)
+        return np.append(self.in_units(simulation.energies()).sum(axis=0), work)
 
     def note_work(self, works):
         """Add (layers,) J that have been put into this rank's layers in a step."""
@@ -137,7 +146,7 @@ class EnergyWatch:
         """Judge the state at the end, however few steps there were. Collective."""
         measured = simulation.measure()
         found = [int(self.in_units(measured[name])) for name in ("kinetic", "strain", "potential")]
-        self.judge(simulation, simulation.step_count, np.array([*found, self.all_work()], np.int64))
+        self.judge(simulation, simulation.step_count, np.array([*found, self.all_work() + self.net_flow()], np.int64))
 
     def all_work(self):
         """Units that body force and loads have put into all particles. Collective."""

@@ -47,18 +47,7 @@ class Particles:
 
     def moved_to(self, population, x):
         """A population as a Cloud at positions x (n, dim) in m."""
-        geometry = self.simulation.geometry
-        cells = x / geometry.cell_size
-        node = np.floor(cells + geometry.stencil.round)
-        # What stands on a wall, or has passed it a little, belongs to the last node inside.
-        for axis in range(geometry.dim):
-            if not geometry.periodic[axis]:
-                node[:, axis] = np.clip(node[:, axis], 0, geometry.homes(axis) - 1)
-        place = self.simulation.needs.places.from_cells(cells - node)
-        for axis in range(geometry.dim):
-            if geometry.periodic[axis]:
-                node[:, axis] %= geometry.cells[axis]
-        return population.at(node, place)
+        return population.at(*nodes_and_places(self.simulation, x))
 
     def check_inside(self, x):
         """Raise ValueError, on all ranks, if any rank's positions (n, dim) in m are not numbers or further beyond a wall than a
@@ -71,6 +60,22 @@ class Particles:
         outside = int(comm.sum(np.array([np.count_nonzero(~inside.all(axis=1))]))[0])
         if outside:
             raise ValueError(f"particles.x: {outside} of the new positions are not inside the domain")
+
+
+def nodes_and_places(simulation, x):
+    """(home node (n, dim) int32, place from there (n, dim)) of particles at x (n, dim) m."""
+    geometry = simulation.geometry
+    cells = x / geometry.cell_size
+    node = np.floor(cells + geometry.stencil.round)
+    # What stands on a wall, or has passed it a little, belongs to the last node inside.
+    for axis in range(geometry.dim):
+        if not geometry.periodic[axis]:
+            node[:, axis] = np.clip(node[:, axis], 0, geometry.homes(axis) - 1)
+    place = simulation.needs.places.from_cells(cells - node)
+    for axis in range(geometry.dim):
+        if geometry.periodic[axis]:
+            node[:, axis] %= geometry.cells[axis]
+    return node.astype(np.int32), place
 
 
 def writable(simulation, name):

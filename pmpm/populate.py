@@ -37,7 +37,7 @@ class Beginning:
         counts, loaded = map(comm.sum, counted(scene, geometry, first, last))
         refuse_empty(counts.sum(axis=1))
         self.loads = load_accelerations(scene, loaded)
-        laws = [simulation.needs.laws.index(law_of_body(scene, body)) for body in scene.bodies]
+        laws = np.array([simulation.needs.laws.index(law_of_body(scene, body)) for body in scene.bodies], int)
         self.counts = np.zeros((geometry.layers, len(simulation.needs.laws)), np.int64)
         np.add.at(self.counts.T, laws, counts)
         return self.counts
@@ -48,14 +48,17 @@ class Beginning:
         scene, counts = simulation.scene, self.counts[simulation.first_layer : simulation.last_layer]
         groups = list(layer_groups(counts.sum(axis=1), simulation.first_layer))
         complaints: dict[tuple[int, int], str] = {}
-        displaced = [body.displacement is not None for body in scene.bodies]
-        moved = self.seeded(simulation, [groups], displaced, complaints) if any(displaced) else None
-        in_place = self.seeded(simulation, [[group] for group in groups], np.logical_not(displaced), complaints)
+        displaced = np.array([body.displacement is not None for body in scene.bodies], bool)
+        moved = self.seeded(simulation, [groups], displaced, complaints) if displaced.any() else None
+        in_place = self.seeded(simulation, [[group] for group in groups], ~displaced, complaints)
         simulation.hold(zip(groups, in_place, strict=True), moved and next(moved), counts.sum(axis=0))
         told = {key: text for rank in reversed(simulation.comm.gather(complaints)) for key, text in rank.items()}
         if told:  # lower ranks own lower layers, so that the first complaint is the same for any number of ranks
             raise SceneError(told[min(told)])
         simulation.note_loads()
+        if simulation.flow is not None:
+            simulation.flow.start(simulation.time)
+            simulation.regroup(simulation.slabs.edges)  # with what flows in from the beginning
         simulation.changed_by_hand()
         simulation.dt = simulation.control.choose(simulation.time, simulation.drive.acceleration(simulation.time))
         estimate.refuse_steps(simulation.scene.time, simulation.dt)

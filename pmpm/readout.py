@@ -51,7 +51,7 @@ def field(simulation, derived, name):
     if name == "id":
         return population.id[population.lanes]
     if name == "material":
-        materials = np.array([simulation.material_names.index(b.material) for b in simulation.scene.bodies], np.int32)
+        materials = np.array([simulation.material_names.index(b.material) for b in simulation.scene.sources], np.int32)
         return materials[population.per_particle(population.block_row)]
     if hasattr(derived, name):
         return np.asarray(getattr(derived, name)())
@@ -94,7 +94,8 @@ def law_field_later(simulation, law, name):
 
 
 def measure(simulation):
-    """Totals over all ranks: particles, mass, momentum, angular momentum, energies, max_speed.
+    """Totals over all ranks: particles, mass, momentum, angular momentum, energies, max_speed; where faces are open or material
+    flows in, what has `left` and was `emitted`.
 
     Sums run over particles within a layer and then over layers, so that they do not depend on the rank count.
     """
@@ -111,9 +112,10 @@ def measure(simulation):
     found: dict[str, float] = {"particles": int(simulation.comm.sum(np.array([simulation.rows()]))[0])}
     found["mass"] = total_mass(simulation)
     found |= {name: math.fsum(row) for name, row in zip(names, summed, strict=True)}
-    found["dissipated"] = simulation.first_energy - total_energy(found)
+    flow = simulation.flow
+    found["dissipated"] = simulation.first_energy + (flow.net_energy if flow else 0.0) - total_energy(found)
     found["max_speed"] = float(simulation.comm.max(np.array([top]))[0])
-    return found
+    return found | (flow.measured() if flow else {})
 
 
 def total_mass(simulation):
@@ -130,7 +132,7 @@ def crushed(simulation):
     """{material: (particles that hold less than CRUSHED of their volume, smallest J)} of materials with such. Collective."""
     names = simulation.material_names
     counts, smallest = np.zeros(len(names), np.int64), np.full(len(names), np.inf)
-    of_body = np.array([names.index(body.material) for body in simulation.scene.bodies])
+    of_body = np.array([names.index(body.material) for body in simulation.scene.sources])
     for derived in chain.from_iterable(simulation.derived_groups(np.float64)):
         J, population = np.abs(derived.J()), derived.population
         material = of_body[population.per_particle(population.block_row)]

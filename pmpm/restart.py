@@ -22,6 +22,7 @@ DRIVING = (
     r"time\.(cfl|step|ramp)|domain\.gravity.*|domain\.walls\..+|method\.(damping|flip_blend|precision)"
     r"|materials\.[^.]+\.(?!model$|density$).+|motions\[\d+\]\.velocity.*"
     r"|colliders\[\d+\]\.(surface.*|velocity.*|angular_velocity.*|shape\.file)|.*\.shape\.file"
+    r"|inflows\[\d+\]\.(velocity.*|until|limit)"
 )
 EITHER_OR = {"time.step": "cfl", "time.cfl": "step"}  # of which a scene gives one
 
@@ -211,6 +212,7 @@ def changes(origin, scene):
             f"{origin.path}: {key} = {now} cannot change at a restart (it is {was} in the checkpoint): particles and grid are "
             "what they are. These can: title, time.*, output.*, guard.*, parallel.*, exact.*, domain.gravity, domain.walls.*, "
             "method.damping, method.flip_blend, method.precision, materials.*.* but model and density, motions[n].velocity, "
+            "inflows[n].velocity, inflows[n].until, inflows[n].limit, "
             "colliders[n].surface, colliders[n].velocity, colliders[n].angular_velocity, and where a file of a shape lies"
         )
     return differing

@@ -29,6 +29,7 @@ STORED_ELSEWHERE = ("x", "v")  # fields of a layout that lie under other names
 
 Count = Annotated[int, Field(ge=0)]
 Size = Annotated[float, Field(ge=0.0)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Numbers(BaseModel):
@@ -72,9 +73,6 @@ class Energy(Numbers):
     pending: tuple[Count, int, int, int, int] | None
 
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
 class Obstacle(Numbers):
     """Of collision.Obstacle."""
 
@@ -92,6 +90,16 @@ class Obstacle(Numbers):
         return lengths == ([dim] * (2 + dim), [parts] * 2)
 
 
+class Flow(Numbers):
+    """Of flow.Flow."""
+
+    left: list[Count]
+    emitted: list[Count]
+    last: list[list[Finite] | None]
+    taken: dict[str, Finite]
+    brought: dict[str, Finite]
+
+
 class Record(Numbers):
     """All of it. `axes`: of the grid (slab, middle, row), by which layers and segments are counted; `counts`: of each regular
     output (interval in s, number of the next time it is due); `outputs`: how many snapshots and lines of diagnostics there
@@ -107,6 +115,7 @@ class Record(Numbers):
     energy: Energy | None
     travelled: list[list[Finite]]
     obstacles: list[Obstacle] = []
+    flow: Flow | None = None
     counts: dict[str, tuple[Size, Count]]
     outputs: dict[str, Count]
 
@@ -144,7 +153,7 @@ def state(simulation, outputs=None):
         "obstacles": [obstacle.state(simulation.comm) for obstacle in simulation.drive.obstacles],
         "counts": {o.name: (o.seconds, o.count) for o in simulation.observers if o.name and o.seconds is not None},
         "outputs": outputs or {},
-    }
+    } | ({"flow": simulation.flow.state()} if simulation.flow else {})
     return State(record, simulation.populations)
 
 
@@ -191,7 +200,7 @@ def place_rows(population, kernels, dim):
 def common_rows(simulation, held):
     """Rows in the one global order: of all laws what ParaView shows, x, id, v and the material."""
     geometry, scene, kernels = simulation.geometry, simulation.scene, simulation.kernels
-    materials = np.array([simulation.material_names.index(body.material) for body in scene.bodies], np.int32)
+    materials = np.array([simulation.material_names.index(body.material) for body in scene.sources], np.int32)
     populations, rows, velocity = held.populations, held.rows, simulation.layouts[0].where("v")
 
     def joined(columns, dtype, groups_of):
@@ -314,6 +323,7 @@ class Continuation:
         simulation.first_energy, simulation.regroups = record.first_energy, record.regroups
         simulation.counts, simulation.outputs = dict(record.counts), dict(record.outputs)
         self.move_regions(simulation)
+        self.resume_flow(simulation)
         simulation.control.resume(record.control.model_dump())
         if turned:
             found = [leaving(p, self.geometry, simulation.kernels, 0, 0) for p in simulation.populations]
@@ -325,8 +335,9 @@ class Continuation:
             simulation.energy_watch.resume(record.energy.model_dump())
         elif simulation.energy_watch is not None:
             simulation.energy_watch.begin(simulation.measure())
-        if self.file.precision != simulation.scene.method.precision:
-            simulation.regroup()  # what has been rounded may lie on the other side of a layer's end
+        newly_open = simulation.flow is not None and self.record.flow is None
+        if self.file.precision != simulation.scene.method.precision or newly_open:
+            simulation.regroup()  # what has been rounded may lie on the other side of a layer's end, or beyond a face
         if self.changed or self.file.precision != simulation.scene.method.precision:
             simulation.changed_by_hand()
 
@@ -359,6 +370,13 @@ class Continuation:
             raise OutputError(f"{self.file.path} is damaged: its colliders are not those of its scene")
         for obstacle, state in zip(obstacles, found, strict=True):
             obstacle.resume(state.model_dump(), simulation.comm.rank)
+
+    def resume_flow(self, simulation):
+        if simulation.flow is not None and self.record.flow is not None:
+            try:
+                simulation.flow.resume(self.record.flow.model_dump())
+            except ValueError as complaint:
+                raise OutputError(f"{self.file.path} is damaged: {complaint}") from None
 
     def common(self, simulation, layers):
         """([ids of each law], [velocities (n, dim) of each law]) of the particles of some layers."""

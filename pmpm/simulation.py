@@ -20,6 +20,7 @@ import numpy as np
 from pmpm import failure, guard, populate, readout, restart, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
+from pmpm.flow import Flow, flows
 from pmpm.kernels import build, targets
 from pmpm.kernels.loops import FARTHEST, SETTLED
 from pmpm.kernels.places import TRAVEL
@@ -59,7 +60,6 @@ class Simulation:
         self.material_names = list(scene.materials)
         self.layouts = [Layout.of(law, self.dim, self.needs.carried(law)) for law in self.needs.laws]
         self.tables = [law_table(scene, law) for law in self.needs.laws]
-        self.drive = Drive(scene, self.needs, self.tables, self.real)
         self.blend = self.real(scene.method.flip_blend or 0.0)
         self.dx, self.inv_dx = self.real(scene.domain.cell_size), self.real(1.0 / scene.domain.cell_size)
         self.limits, self.ends = domain_limits(scene, self.geometry)
@@ -81,11 +81,12 @@ class Simulation:
                 f"environment: PMPM_LOOPS = {loops!r} is not a kind of loops; known are {', '.join(build.LOOPS)}"
             )
         self.processor = processor(self, backend, threads)
-        self.populations = []
-
         self.control = StepControl(
             self.comm, scene.time, scene.domain.cell_size, self.dim, FARTHEST / 64, SETTLED / 64, TRAVEL
         )
+        self.flow = Flow(self) if flows(scene) else None
+        self.drive = Drive(scene, self.needs, self.tables, self.real, self.flow.mouths if self.flow else ())
+        self.populations = []
         self.smallest_step = guard.smallest_step(scene, self.needs, self.tables)
         self.first_energy = 0.0
         self.energy_watch = guard.EnergyWatch(self) if guard.watches_energy(scene) else None
@@ -248,7 +249,7 @@ class Simulation:
     def take_energy(self):
         """Count dissipation from here."""
         measured = self.measure()
-        self.first_energy = readout.total_energy(measured)
+        self.first_energy = readout.total_energy(measured) - (self.flow.net_energy if self.flow else 0.0)
         if self.energy_watch is not None:
             self.energy_watch.begin(measured)
 
@@ -288,10 +289,12 @@ class Simulation:
         failed = self.control.collect()
         if failed is not None:
             self.stop(failed)
-        self.control.pushing = self.drive.fastest(self.time)
+        if self.flow is not None:
+            self.flow.start(self.time)
+        self.control.floor = self.least()
         self.check_fixed_step(NumericalFailure)
         dt = self.choose_step()
-        if self.control.regroup_due(self.step_count + 1, dt):
+        if self.control.regroup_due(self.step_count + 1, dt) or (self.flow is not None and self.flow.due()):
             self.regroup()
         self.advance(self.real(dt))
         self.step_count += 1
@@ -304,6 +307,11 @@ class Simulation:
         if self.finished and self.energy_watch is not None:
             self.energy_watch.last_look(self)
         self.call_observers()
+
+    def least(self):
+        """What the maxima of the step to come are at least, in the order of LEARNT: by what comes in and by colliders."""
+        speed, wave = self.flow.floor if self.flow is not None else (0.0, 0.0)
+        return max(speed, self.drive.fastest(self.time)), wave, 0.0, 0.0
 
     def advance(self, dt):
         now, processor = clock.perf_counter(), self.processor
@@ -442,9 +450,11 @@ class Simulation:
         if clouds is not None:
             self.take_in(clouds)
         else:
-            for after in self.ways(before, self.slabs.edges):
+            *ways, last = self.ways(before, self.slabs.edges)
+            for after in ways:
                 self.move(before, after)
                 before = after
+            self.move(before, last, None if self.flow is None else self.flow.emit(self))
         self.share_layers()
         self.control.regrouped(self.step_count)
         self.regroups += 1
@@ -461,13 +471,18 @@ class Simulation:
         counts[first:last] = sum(population.layer_counts for population in self.held_populations)
         return edges_between(self.comm.sum(counts), before, after)
 
-    def move(self, before, after):
-        """Let every particle join the layer it lies in, when the cuts were at edges `before` and are to be at `after`."""
+    def move(self, before, after, coming=None):
+        """Let every particle join the layer it lies in, when the cuts were at edges `before` and are to be at `after`. Those
+        beyond open faces are taken out; `coming`, a Cloud per law, goes to layers of this rank, behind all others of each."""
         slab = self.geometry.axes[0]
         near = partners(before, after, self.comm.rank, self.geometry.periodic[slab])
         clouds, upwards = self.processor.take_leaving(after)
+        if self.flow is not None and self.needs.open:
+            self.flow.take_out(self, self.processor.gone)
         arrived, sent = migrate(clouds, upwards, slab, after, self.comm, *near)
         del clouds, upwards
+        for of_law, cloud in zip(arrived, coming or (), strict=False):
+            of_law.cloud = Cloud.join([of_law.cloud, cloud])
         self.processor.settle_in(after, arrived)
         self.held = self.rows()
         self.note_sent(sent)
@@ -480,6 +495,8 @@ class Simulation:
 
     def take_in(self, clouds):
         """Hold these particles of each law, which lie in layers of any rank and in no order yet, and no others."""
+        if self.flow is not None and self.needs.open:
+            clouds = self.flow.without_gone(self, clouds)
         arrived, sent = self.deliver(clouds)
         self.populations = self.no_particles()
         self.processor.take_leaving(self.slabs.edges)
@@ -498,7 +515,7 @@ class Simulation:
         others = None if displaced is None else [arrivals.cloud for arrivals in self.deliver(displaced)[0]]
         self.populations = settle(
             batches, others, counts, self.geometry, self.kernels, self.first_layer, self.last_layer - self.first_layer,
-            len(self.scene.bodies), [self.pad_values(layout) for layout in self.layouts], self.processor.crew,
+            len(self.scene.sources), [self.pad_values(layout) for layout in self.layouts], self.processor.crew,
         )  # fmt: skip
         self.held = self.rows()
         self.share_layers()
@@ -686,6 +703,7 @@ class Simulation:
             "sent_bytes": self.comm.gather(self.sent_bytes),
             "regroups": self.regroups,
             "balance": self.balance.report(self.comm),
+            **({"flow": self.flow.report()} if self.flow else {}),
             "kernels_compiled": compiled,
             "kernels_loaded": loaded,
             "seconds_per_phase": spread(self.comm.gather(self.timers.seconds)),

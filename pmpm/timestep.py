@@ -114,7 +114,7 @@ class StepControl:
         self.shortest = self.stable = math.inf  # s, of the bounds for the step last chosen, and what cfl makes of them
         self.largest = [[0.0] * len(LEARNT)] * 2  # until the last multiple of RECENT steps, and of those since then
         self.moving = 0.0  # m/s, the largest speed known last
-        self.pushing = 0.0  # m/s, the fastest of what pushes particles in the step to come
+        self.floor = (0.0,) * len(LEARNT)  # what counts at least, whatever particles tell
 
     def begin(self, step, maxima):
         """Take the maxima over the particles of this rank, in the order of what is reduced, of a state that no step has made,
@@ -139,12 +139,11 @@ class StepControl:
     @property
     def recent(self):
         """The largest speed (m/s), wave speed (m/s), |grad v| (1/s) and body force (m/s2) that count."""
-        return tuple(map(max, *self.largest))
+        return tuple(map(max, *self.largest, self.floor))
 
     def bounds(self, driven):
         """The longest step in s by each of BOUNDS; `driven`: acceleration by gravity and loads, m/s2."""
         speed, wave, gradient, force = self.recent
-        speed = max(speed, self.pushing)
         found = stable_bounds(self.cell_size, self.dim, wave, speed, driven + force, gradient)
         self.shortest = min(found)
         return found
@@ -169,7 +168,7 @@ class StepControl:
 
     def move_bound(self, dt):
         """Cells a particle may move in a step of dt."""
-        return MARGIN * max(self.moving, self.pushing) * dt / self.cell_size
+        return MARGIN * max(self.moving, self.floor[SPEED]) * dt / self.cell_size
 
     def regroup_due(self, step, dt):
         """Whether a particle might leave its layer's padded planes, or its place overflow, in step number `step`; or whether

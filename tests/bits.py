@@ -14,7 +14,7 @@ from pmpm.state.fields import OUTPUT_NAMES
 
 def all_fields(scene):
     """Names of everything that a scene can write: the common fields and the state of its laws."""
-    used = [scene.materials[body.material] for body in scene.bodies]
+    used = [scene.materials[body.material] for body in scene.sources]
     states = [field.name for material in used for field in LAWS[material.model].state_fields(material.parameters)]
     return list(dict.fromkeys((*OUTPUT_NAMES, *states)))
 

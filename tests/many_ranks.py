@@ -16,6 +16,7 @@ from pmpm.scene.schema import Scene
 DRIVER = Path(__file__).parent / "drivers" / "run_several.py"
 STEPS = 60
 SETTINGS = {
+    "chute_flow": {"inflows.0.velocity": [3.0, 0.0]},
     "colliding_disks": {
         "domain.cell_size": 0.003125, "bodies.0.velocity": [0.4, 0.4], "bodies.1.velocity": [-0.4, -0.4],
     },
@@ -23,6 +24,7 @@ SETTINGS = {
     "column_collapse_3d": {"bodies.0.velocity": [2.0, 0.0, 0.0]},
     "dam_break": {"bodies.0.velocity": [2.0, 0.0]},
     "dam_break_3d": {"bodies.0.velocity": [2.0, 0.0, 0.0]},
+    "jet": {"inflows.0.velocity": [0.0, -3.0]},
     "mixed_materials": {"bodies.2.velocity": [3.0, 0.0, 0.0]},
 }  # fmt: skip
 

@@ -86,6 +86,20 @@ def wide():
     )
 
 
+def in_and_out():
+    """A stretched body that leaves through two faces, one along each axis, and, after a step, one that flows in at a wall."""
+    walls = {"x_max": "open", "y_min": "open", "x_min": "stick"}
+    body = {"material": "a", "shape": {"type": "box", "min": [0.85, 0.0], "max": [1.2, 0.35]}, "velocity": [0.1, -0.1]}
+    mouth = {"material": "a", "shape": {"type": "box", "min": [0.0, 0.3], "max": [0.2, 0.5]}, "velocity": [5.0, 0.0]}
+    return Scene(
+        domain={"size": [1.2, 0.8], "cell_size": 0.1, "gravity": [0.0, -9.81], "walls": walls},
+        time={"end": 1.0},
+        materials={"a": agreement.EXAMPLES["neo_hookean"]},
+        bodies=[body | {"deformation": [[1.3, 0.1], [0.0, 0.8]]}],
+        inflows=[mouth | {"particles_per_cell": 16, "start": 1e-6}],
+    )
+
+
 def many():
     """More particles than one tile of the sort holds counts of."""
     return Scene(
@@ -98,6 +112,7 @@ def many():
 
 
 MANY = "many"
+IN_AND_OUT = "in and out"
 FAILING = "driven, failing"
 ON_NODES = "linear, on nodes"
 IN_SPACE = 2, 1, 2  # particles per cell of bodies in 3-D: 200 in all
@@ -109,6 +124,7 @@ SCENES = {
     agreement.label(row): lambda row=row: agreement.scene(row, IN_SPACE)
     for row in agreement.SINGLE + agreement.every_pair.full_product(FACTORS, agreement.allowed)
 } | {"driven": driven, "two tiles, float32": wide, SMALL_TILE: driven, FAILING: driven, MANY: many, ON_NODES: on_nodes}
+SCENES |= {IN_AND_OUT: in_and_out}
 
 
 def start(scene, comm, backend):
@@ -214,6 +230,9 @@ def apart(label, folder, comm):
         found[f"{backend} goes on as {other}"] = agreement.distances(*again)
     gap = float(np.abs(energies[0] - energies[1]).max() / np.abs(energies[0]).max())
     direct = simulations["cuda"].processor.direct
+    if label == IN_AND_OUT:
+        one, other = (simulation.flow.report() for simulation in simulations.values())
+        alike = alike and one == other and one["left"][0] > 0 and one["emitted"][1] > 4 * 16
     return {"apart": found, "sent": sent, "energies": gap, "alike": all(comm.gather(alike)), "direct": direct}
 
 

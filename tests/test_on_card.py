@@ -13,7 +13,7 @@ import several_laws
 
 import pmpm
 
-OTHERS = "driven", "two tiles, float32", "driven, no room to sum in", "linear, on nodes"
+OTHERS = "driven", "in and out", "two tiles, float32", "driven, no room to sum in", "linear, on nodes"
 ROWS = [*map(agreement.label, agreement.PAIRS + agreement.SINGLE), *OTHERS]
 ON_TWO_RANKS = ("several 2 quadratic mls float32 False", "neo_hookean 2 quadratic flip float32 False")
 HEARD = 1e-5, 1e-12  # of the energies, which float32 sums block by block: eps times the steps of a sum of a hundred

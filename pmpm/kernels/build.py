@@ -23,6 +23,7 @@ WALLS = {
 PER_SCENE = ("add_gravity", "divide_by_mass")
 PER_OPTION = ("damp",)  # likewise, only where a scene asks for them
 PER_CUT = ("add_planes", "add_slots")  # called, hence compiled, only where there are cuts
+PER_OPEN = ("count_beyond", "take_beyond")  # called, hence compiled, only where a face is open
 PER_PLACES = ("count_moves", "take_leaving", "loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
 LAYING_OUT = ("mark_cells", "find_spans", "place_spans")
@@ -91,10 +92,11 @@ def collider_entries(needs):
     return [f"collider {name}" for name in needs.collider_types]
 
 
-def shared_entries(gravity, damped, cuts):
+def shared_entries(gravity, damped, cuts, opened=False):
     """Names of the entries without a law that a run calls: the others are never compiled."""
     per_scene = [name for name in PER_SCENE if gravity or name != "add_gravity"]
-    return [*per_scene, *(PER_OPTION if damped else ()), *(PER_CUT if cuts else ()), *PER_PLACES, *SORTING, *LAYING_OUT]
+    optional = [*(PER_OPTION if damped else ()), *(PER_CUT if cuts else ()), *(PER_OPEN if opened else ())]
+    return [*per_scene, *optional, *PER_PLACES, *SORTING, *LAYING_OUT]
 
 
 def chosen_loops():
@@ -156,8 +158,9 @@ def scene_choices(needs):
         "body_force": needs.body_force or loops.no_force,
         "LOADED": needs.loaded,
         "DRIVEN": needs.driven,
-        "PERIODIC_MIDDLE": not two and needs.periodic[middle],
-        "PERIODIC_ROW": needs.periodic[row],
+        "ENDS_MIDDLE": not two and needs.has_ends(middle),
+        "ENDS_ROW": needs.has_ends(row),
+        "OPEN": needs.open,
         "V_FIELD": vector,
         "weights": stencil.weights,
         "slopes": stencil.slopes,
@@ -292,7 +295,7 @@ def build(needs, layouts, parameter_counts, kind, threads=1):
     walls, images = entries_of_walls(needs, scalar, loops, scene)
     shared = {name: general.entry(getattr(loops, name)) for name in (*PER_SCENE, *PER_OPTION, *PER_CUT)}
     for_places = targets.scalar(real)
-    shared |= {name: for_places.entry(getattr(sorting, name)) for name in PER_PLACES}
+    shared |= {name: for_places.entry(getattr(sorting, name)) for name in (*PER_PLACES, *PER_OPEN)}
     for_orders = targets.scalar(np.float64)
     shared |= {name: for_orders.entry(getattr(sorting, name)) for name in (*SORTING, *OUT_OF_BLOCKS)}
     shared |= {name: for_orders.entry(getattr(spans, name)) for name in LAYING_OUT}

@@ -11,11 +11,12 @@ import numpy as np
 from numba import cuda
 
 from pmpm.kernels.places import REACH
-from pmpm.kernels.sorting import settled
+from pmpm.kernels.sorting import is_beyond, settled
 
 integer, int32, int64 = float, np.int32, np.int64
 DIMENSIONS, SLAB, MIDDLE, ROW = 2, 0, -1, 1
 HALF, FRACTION = 0, 52
+OPEN = False
 THREADS = 128  # of a block of threads
 ITEMS = 16  # slots of a thread when keys are sorted
 BITS = 4  # of a digit
@@ -45,10 +46,12 @@ def home_of(key, middles, rows):
 
 
 def find_homes(
-    places, info, blocks, old_layer, first, last, nodes, periodic, bodies, nobody, keys, order, leaving, leavers, their_keys
+    places, info, blocks, old_layer, first, last, nodes, periodic, cells, opened, bodies, nobody, keys, order, leaving, leavers,
+    their_keys,
 ):  # fmt: skip
     """Key of each slot, counted from layer `first`; places count from home nodes afterwards. `leavers`: slots of those who do
-    not go to layers first .. last - 1, in any order, with keys counted from layer 0; `leaving`: how many."""
+    not go to layers first .. last - 1, in any order, with keys counted from layer 0; `leaving`: how many. Keys of those who are
+    beyond an open face, `opened` two by two as `cells` of each array axis, are -1 less their own."""
     p = cuda.grid(1)
     block, lane = p >> 4, p & 15
     if block < blocks:
@@ -64,13 +67,21 @@ def find_homes(
                 places[block, MIDDLE, lane] = place
             row, place = settled(places[block, ROW, lane], base_row, HALF, FRACTION, nodes[2], periodic[2])
             places[block, ROW, lane] = place
-            body = info[block, 1]
-            if first <= layer < last:
+            body, beyond = info[block, 1], False
+            if OPEN:
+                beyond = is_beyond(layer + (places[block, SLAB, lane] >> FRACTION), cells[0], opened[0], opened[1])
+                if DIMENSIONS == 3:
+                    cell = middle + (places[block, MIDDLE, lane] >> FRACTION)
+                    beyond = beyond or is_beyond(cell, cells[1], opened[2], opened[3])
+                cell = row + (places[block, ROW, lane] >> FRACTION)
+                beyond = beyond or is_beyond(cell, cells[2], opened[4], opened[5])
+            if first <= layer < last and not beyond:
                 keys[p] = key_of(layer - first, body, middle, row, bodies, nodes[1], nodes[2])
             else:
                 n = cuda.atomic.add(leaving, 0, 1)
                 leavers[n] = p
-                their_keys[n] = key_of(layer, body, middle, row, bodies, nodes[1], nodes[2])
+                key = key_of(layer, body, middle, row, bodies, nodes[1], nodes[2])
+                their_keys[n] = -1 - key if beyond else key
 
 
 def pack_leaving(places, ids, leavers, count, fields, rows, row_ids):

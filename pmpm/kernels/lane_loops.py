@@ -70,7 +70,7 @@ CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 # lets P2G tell volumes and divergences in place of masses and velocities.
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True
 BY_GRADIENT = True  # IMPULSE and not MLS
-DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = PERIODIC_MIDDLE = PERIODIC_ROW = False
+DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = False
 FIELDS, V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 12, 2, 4, 8, 8, 8
 DIVERGENCE_FIELD = 8
 body_force = no_force
@@ -808,13 +808,13 @@ def g2p(
                 far = size_of(slab - CENTRE)
                 near = far <= place_at(FARTHEST)
                 inside = (slab >= low_slab) & (slab <= high_slab) & (along_row >= low_row) & (along_row <= high_row)
-                if PERIODIC_ROW:
+                if ENDS_ROW:
                     far = max(far, beyond(along_row, place_at(ends[ROW, 0] - 64 * segments[s, 4]),
                                           place_at(ends[ROW, 1] - 64 * segments[s, 4])))  # fmt: skip
                 if DIMENSIONS == 3:
                     middle = moved(where_from, o, MIDDLE, step)
                     inside = inside & (middle >= low_middle) & (middle <= high_middle)
-                    if PERIODIC_MIDDLE:
+                    if ENDS_MIDDLE:
                         far = max(far, beyond(middle, place_at(ends[MIDDLE, 0] - 64 * segments[s, 3]),
                                               place_at(ends[MIDDLE, 1] - 64 * segments[s, 3])))  # fmt: skip
                 valid = law.valid(state)

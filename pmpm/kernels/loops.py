@@ -21,10 +21,10 @@ the loads that acts. Schemes that blend velocities run P2G twice: without impuls
 
 G2P gathers velocity and its gradient, advances state and position of its layers. It unfolds plane after plane into a `ring`,
 as wide as the windows, whose first planes stand behind its last ones again, so that a stencil's planes follow each other.
-`limits[axis]`, in 64ths of a cell, where particles may be, `ends[axis]` where a periodic axis repeats. The first particle
-that fails is written to `failure` (cause, block, lane) and keeps its position. G2P returns the maxima (speed^2, wave speed^2,
-drift in cells, |dt grad v|^2, the step along any axis in cells): drift is how far a particle is from the middle of its layer,
-or half a cell plus what it is beyond the end of a periodic axis.
+`limits[axis]`, in 64ths of a cell, where particles may be, `ends[axis]` where a periodic axis repeats, or where its open faces
+are. The first particle that fails is written to `failure` (cause, block, lane) and keeps its position. G2P returns the maxima
+(speed^2, wave speed^2, drift in cells, |dt grad v|^2, the step along any axis in cells): drift is how far a particle is from
+the middle of its layer, or half a cell plus what it is beyond an end of another axis.
 """
 
 from numba.np.unsafe.ndarray import to_fixed_tuple

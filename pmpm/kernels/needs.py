@@ -137,6 +137,7 @@ class Needs:
     body_force: Callable | None = None  # acceleration(x, X, t) of the scene
     uses_reference: bool = False  # whether it reads X, or errors are measured at X
     loaded: bool = False  # whether particles carry an acceleration of their own
+    open_axes: tuple[bool, ...] = ()  # which axes have a face that particles leave through; none if empty
 
     @property
     def scheme(self):
@@ -152,6 +153,15 @@ class Needs:
         carries = {"C": self.scheme.affine or law.viscous, "X": self.uses_reference, "load": self.loaded}
         carries["divergence"] = self.f_bar
         return tuple(name for name, needed in carries.items() if needed)
+
+    @property
+    def open(self):
+        """Whether particles may leave."""
+        return any(self.open_axes)
+
+    def has_ends(self, axis):
+        """Whether particles are waited for beyond an end of this axis: they come back at the other one, or leave."""
+        return self.periodic[axis] or (self.open and self.open_axes[axis])
 
     @property
     def driven(self):

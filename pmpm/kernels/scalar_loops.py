@@ -41,7 +41,7 @@ BEFORE_RING = DIVERGENCE_RING = 0  # among the rings
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True  # see lane_loops
-DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = PERIODIC_MIDDLE = PERIODIC_ROW = False
+DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = False
 V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 2, 4, 8, 8, 8
 BY_GRADIENT, DIVERGENCE_FIELD = True, 8
 body_force, along_first = loops.no_force, None
@@ -317,7 +317,7 @@ def advance(
                 cause = CAUSE_LEFT
             if axis == SLAB:
                 far = max(far, abs(reached - CENTRE))
-            elif (axis == MIDDLE and PERIODIC_MIDDLE) or (axis == ROW and PERIODIC_ROW):
+            elif (axis == MIDDLE and ENDS_MIDDLE) or (axis == ROW and ENDS_ROW):
                 low, high = place_at(ends[axis, 0] - 64 * base[axis]), place_at(ends[axis, 1] - 64 * base[axis])
                 far = max(far, max(low - reached, reached - high) + place_at(SETTLED))
         if abs(moved(place[SLAB], step[SLAB]) - CENTRE) > place_at(FARTHEST):

@@ -33,6 +33,69 @@ def settled(place, base, half, fraction, nodes, periodic):
     return home, place - ((home - base) << fraction)
 
 
+def is_beyond(cell, cells, open_low, open_high):
+    """Whether a particle in this cell of an axis with so many has left through an open face."""
+    return (open_low and cell < 0) or (open_high and cell >= cells)
+
+
+def lies_beyond(places, block, lane, layer, middle, row, fraction, axes, cells, opened):
+    """The same of a lane of a block, along all axes; layer, middle, row: its base node. opened: (dim, 2)."""
+    beyond = False
+    for array_axis in range(3):
+        axis = axes[array_axis]
+        if axis >= 0:
+            base = layer if array_axis == 0 else (middle if array_axis == 1 else row)
+            cell = base + (int(places[block, axis, lane]) >> fraction)
+            beyond = beyond or is_beyond(cell, cells[axis], opened[axis, 0], opened[axis, 1])
+    return beyond
+
+
+def count_beyond(places, segments, layer_start, first_layer, fraction, axes, cells, opened):
+    """How many have left through open faces: cells (dim,) of each axis, opened (dim, 2) which of its faces are open."""
+    count = 0
+    for layer in range(layer_start.shape[0] - 1):
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            middle, row = segments[s, 3], segments[s, 4]
+            for n in range(segments[s, 1]):
+                block, lane = segments[s, 0] + (n >> 4), n & 15
+                count += lies_beyond(
+                    places, block, lane, first_layer + layer, middle, row, fraction, axes, cells, opened
+                )
+    return count
+
+
+def take_beyond(
+    places, ids, segments, layer_start, first_layer, fraction, axes, cells, opened, rows, node, bodies, row_ids
+):  # fmt: skip
+    """Move all who have left, in order, into rows (n, fields) with places from nodes (n, dim).
+
+    Their segments close up, each in its first blocks; blocks may be left over until particles are ordered anew.
+    """
+    gone = 0
+    for layer in range(layer_start.shape[0] - 1):
+        for s in range(layer_start[layer], layer_start[layer + 1]):
+            first, middle, row, kept = segments[s, 0], segments[s, 3], segments[s, 4], 0
+            for n in range(segments[s, 1]):
+                block, lane = first + (n >> 4), n & 15
+                if lies_beyond(places, block, lane, first_layer + layer, middle, row, fraction, axes, cells, opened):
+                    for f in range(places.shape[1]):
+                        rows[gone, f] = places[block, f, lane]
+                    for array_axis in range(3):
+                        if axes[array_axis] >= 0:
+                            base = first_layer + layer if array_axis == 0 else segments[s, 2 + array_axis]
+                            node[gone, axes[array_axis]] = base
+                    bodies[gone], row_ids[gone] = segments[s, 2], ids[block, lane]
+                    gone += 1
+                else:
+                    if kept < n:
+                        to_block, to_lane = first + (kept >> 4), kept & 15
+                        for f in range(places.shape[1]):
+                            places[to_block, f, to_lane] = places[block, f, lane]
+                        ids[to_block, to_lane] = ids[block, lane]
+                    kept += 1
+            segments[s, 1] = kept
+
+
 def count_moves(
     places, segments, layer_start, first_layer, first, last, half, fraction, slab, nodes, periodic, staying, leaving
 ):  # fmt: skip

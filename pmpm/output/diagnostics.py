@@ -3,6 +3,8 @@
 from pmpm.output.files import on_rank_zero
 from pmpm.output.run_directory import DIAGNOSTICS
 
+WHOLE = ("step", "particles", "left", "emitted")  # columns that count
+
 
 class Diagnostics:
     """Observer that appends step, time, dt, `simulation.measure()` and the mean forces on colliders to DIR/diagnostics.csv.
@@ -47,4 +49,4 @@ def header(path):
 
 
 def as_text(name, value):
-    return str(int(value)) if name in ("step", "particles") else repr(float(value))
+    return str(int(value)) if name in WHOLE else repr(float(value))

@@ -84,7 +84,8 @@ def view_of(scene, snapshots, field):
     order = (*(axis for axis in range(dim) if axis != up), up)
     field = field or next((name for name in PREFERRED if name in snapshots[0].fields), "id")
     low, high = range_of(snapshots, field)
-    spacing = domain["cell_size"] / min(body["particles_per_cell"] for body in scene["bodies"]) ** (1.0 / dim)
+    sources = [*scene.get("bodies", ()), *scene.get("inflows", ())]
+    spacing = domain["cell_size"] / min(source["particles_per_cell"] for source in sources) ** (1.0 / dim)
     unit = UNITS.get(field, "-")
     name = "speed" if field == "velocity" else field.replace("_", " ")
     return View(

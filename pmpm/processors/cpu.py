@@ -10,7 +10,8 @@ from pmpm.kernels.loops import FORCES, WORKS
 from pmpm.kernels.places import FORMATS
 from pmpm.parallel.halo import zeros
 from pmpm.parallel.parts import Crew, pieces
-from pmpm.state.assembly import Assembly, leaving
+from pmpm.scene.needs import open_faces
+from pmpm.state.assembly import Assembly, leaving, take_beyond
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.grid import SLACK
 
@@ -34,6 +35,7 @@ class Cpu:
         counts = [table.shape[1] - PARAMETERS for table in self.tables]
         self.kernels = build.build(simulation.needs, simulation.layouts, counts, build.chosen_loops(), threads)
         self.extremes = np.zeros(FORCE + 1)  # maxima of the step: those of G2P, and |b|^2 of the body force
+        self.gone: list = []
         self.failed: list[tuple[int, int, int, int]] = []  # (law, block, lane, cause) in this step, first of each range
 
     @property
@@ -93,8 +95,11 @@ class Cpu:
 
     def take_leaving(self, edges):
         """(Cloud, whether each comes before those of the layer that it goes to) of each law's particles that do not stay when
-        cuts are at these edges. `settle_in` follows."""
+        cuts are at these edges. `settle_in` follows. Where faces are open, `gone` has a Cloud of those who have left."""
         simulation = self.simulation
+        if simulation.needs.open:
+            opened = open_faces(simulation.scene)
+            self.gone = [take_beyond(p, simulation.geometry, self.kernels, opened) for p in simulation.held_populations]
         first, last = edges[simulation.comm.rank], edges[simulation.comm.rank + 1]
         found = [leaving(p, simulation.geometry, self.kernels, first, last) for p in simulation.held_populations]
         self.staying = [of_law.staying for of_law in found]
@@ -108,7 +113,7 @@ class Cpu:
         for law, layout in enumerate(simulation.layouts):
             populations[law] = Assembly(
                 populations[law], self.staying[law], arrived[law], simulation.geometry, self.kernels, first, last - first,
-                len(simulation.scene.bodies), simulation.pad_values(layout),
+                len(simulation.scene.sources), simulation.pad_values(layout),
             ).whole(self.crew)  # fmt: skip
             arrived[law] = None
 

@@ -167,6 +167,7 @@ class Cuda:
         cuts are at these edges. `settle_in` follows."""
         rank = self.simulation.comm.rank
         clouds = [here.take_leaving(edges[rank], edges[rank + 1]) for here in self.particles]
+        self.gone = [here.gone for here in self.particles]
         return clouds, [np.ones(len(cloud), bool) for cloud in clouds]
 
     def settle_in(self, edges, arrived):
@@ -323,7 +324,8 @@ class Cuda:
             number = number[(plane >= first) & (plane < last)]
             if len(number):
                 there, velocity = self.kept(("region", at, first), number), tuple(region.velocity.astype(self.real))
-                self.launch(self.on_card.nodes["impose"], len(number), nodes, there, len(number), velocity)
+                kernel = self.on_card.nodes["impose"]
+                self.launch(kernel, len(number), nodes, there, len(number), velocity, region.whole)
 
     def collide(self, obstacle, first, last):
         """What the surface of a collider does to the momenta of some of its nodes."""

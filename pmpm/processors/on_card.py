@@ -10,6 +10,7 @@ import numpy as np
 from pmpm.kernels.cuda_sorting import BITS, DIGITS, ITEMS, TILE, home_of, key_of, tiling
 from pmpm.kernels.places import FORMATS
 from pmpm.kernels.sorting import SEGMENT_COLUMNS
+from pmpm.scene.needs import open_faces
 from pmpm.state.memory import room
 from pmpm.state.particles import LANES, Cloud, Population
 
@@ -28,11 +29,14 @@ class OnCard:
         self.processor, self.memory, self.law = processor, processor.memory, law
         self.kernels = processor.on_card.sorting
         self.real, self.size = np.dtype(simulation.real), simulation.layouts[law].size
-        self.form, self.bodies, self.dim = FORMATS[self.real], len(simulation.scene.bodies), simulation.dim
+        self.form, self.bodies, self.dim = FORMATS[self.real], len(simulation.scene.sources), simulation.dim
         geometry = simulation.geometry
         self.axes = geometry.axes
         self.nodes = tuple(geometry.homes(axis) if axis >= 0 else 1 for axis in self.axes)
         self.periodic = tuple(int(axis >= 0 and geometry.periodic[axis]) for axis in self.axes)
+        self.cell_counts = tuple(geometry.cells[axis] if axis >= 0 else 1 for axis in self.axes)
+        opened = open_faces(simulation.scene)
+        self.opened = tuple(bool(axis >= 0 and opened[axis, end]) for axis in self.axes for end in (0, 1))
         self.driven = simulation.needs.driven
         rest = np.ascontiguousarray(simulation.pad_values(simulation.layouts[law]))
         self.rest = processor.card.to_device(rest.view(self.form.integer))
@@ -108,7 +112,8 @@ class OnCard:
     # ---- a regroup ----
 
     def take_leaving(self, first, last):
-        """The Cloud of those who do not go to layers first .. last - 1, ordered by where they go. `settle_in` follows."""
+        """The Cloud of those who do not go to layers first .. last - 1, ordered by where they go. `settle_in` follows.
+        `gone` has those who have left through open faces."""
         slots = self.lanes
         self.first, self.last = first, last
         self.nobody = (last - first) * self.bodies * self.tiles * self.cells
@@ -119,7 +124,8 @@ class OnCard:
         counter = self.processor.counter()
         self.launch(
             "find_homes", slots, self.places, self.info, self.blocks, self.population.first_layer, first, last, self.nodes,
-            self.periodic, self.bodies, self.nobody, self.keys, self.order, counter, leavers, their_keys,
+            self.periodic, self.cell_counts, self.opened, self.bodies, self.nobody, self.keys, self.order, counter, leavers,
+            their_keys,
         )  # fmt: skip
         count = self.processor.count_of(counter)
         rows = self.memory.array("rows", (count + 1, self.size), self.form.integer)
@@ -138,17 +144,21 @@ class OnCard:
     def cloud(self, count, rows, ids, keys):
         """A Cloud of what has been packed, ordered by key and id."""
         found, key = Cloud.room(count, self.size, self.dim, self.real), np.empty(count, np.int64)
+        self.gone = found
         if not count:
             return found
         for there, here in ((rows, found.places), (ids, found.id), (keys, key)):
             self.processor.bring(there[:count], here)
+        beyond, key = key < 0, np.where(key < 0, -1 - key, key)
         middle, row = home_of(key, *self.nodes[1:])
         layer = key // self.cells // (self.tiles * self.bodies)
         for axis, home in zip(self.axes, (layer, middle, row), strict=True):
             if axis >= 0:
                 found.node[:, axis] = home
         found.row[:] = key // self.cells // self.tiles % self.bodies
-        return found.take(np.lexsort((found.id, key)))
+        in_order = np.lexsort((found.id, key))
+        self.gone = found.take(in_order[beyond[in_order]])
+        return found.take(in_order[~beyond[in_order]])
 
     def settle_in(self, cloud):
         """Order those who stay and those of a Cloud, all of whom go to the layers that `take_leaving` was told."""

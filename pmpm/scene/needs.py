@@ -12,6 +12,8 @@ from pmpm.scene.errors import SceneError
 from pmpm.state.grid import Geometry
 
 FACES = ("min", "max")
+NOT_HELD = ("free", "open")  # walls of these types do nothing to the grid
+NEVER = 1 << 40  # 64ths of a cell: an end that no particle is beyond
 MOST_IDS = 2**63  # ids are 64-bit integers
 MOST_NODES = 59_000_000  # of a plane: 9 planes of 4 reals (a ring, cubic) are counted in 32 bits
 
@@ -24,8 +26,8 @@ def law_of_body(scene, body):
 
 def scene_needs(scene):
     """What a scene asks of the kernels."""
-    laws = tuple(dict.fromkeys(law_of_body(scene, body) for body in scene.bodies))
-    walls = tuple(sorted({wall.type for wall in scene.domain.walls.values()} - {"free"}))
+    laws = tuple(dict.fromkeys(law_of_body(scene, source) for source in scene.sources))
+    walls = tuple(sorted({wall.type for wall in scene.domain.walls.values()} - set(NOT_HELD)))
     method = scene.method
     asked = scene.parallel.slab_axis
     slab_axis = int(np.argmax(scene.cells)) if asked is None else "xyz".index(asked)
@@ -45,7 +47,15 @@ def scene_needs(scene):
         body_force=force,
         uses_reference=scene.exact is not None or (force is not None and forcing.reads(force, "X")),
         loaded=bool(scene.loads),
+        open_axes=tuple(opened) if (opened := open_faces(scene).any(axis=1)).any() else (),
     )
+
+
+def open_faces(scene):
+    """(dim, 2) bool: which faces particles leave through, by axis and end."""
+    walls = scene.domain.walls
+    faces = [[f"{axis}_{end}" for end in FACES] for axis in "xyz"[: scene.dim]]
+    return np.array([[face in walls and walls[face].type == "open" for face in pair] for pair in faces])
 
 
 def grid_geometry(scene, needs):
@@ -63,7 +73,7 @@ def grid_geometry(scene, needs):
 
 def check_ids(scene):
     """Raise SceneError where there are more places for particles than numbers for them."""
-    places = math.prod(scene.cells) * sum(body.particles_per_cell for body in scene.bodies)
+    places = math.prod(scene.cells) * sum(source.particles_per_cell for source in scene.sources)
     if places >= MOST_IDS:
         text = f"{float(places):.3g} places for particles in the domain, at most {float(MOST_IDS):.3g} can be numbered"
         raise SceneError(f"scene: domain.cell_size: {text}")
@@ -82,17 +92,17 @@ def check_axes(geometry):
 
 
 def law_table(scene, law):
-    """(bodies, 3 + parameters) float64: mass, volume0, density and the law's parameters of each body of this law.
+    """(sources, 3 + parameters) float64: mass, volume0, density and the law's parameters of each source of this law.
 
     Raises SceneError where they are beyond the range of the scene's precision.
     """
     dim = scene.dim
     rows: list[list[float] | None] = []
     volume = scene.domain.cell_size**dim
-    for body in scene.bodies:
-        if law_of_body(scene, body) == law:
-            keys = scene.materials[body.material].parameters
-            volume0 = volume / body.particles_per_cell
+    for source in scene.sources:
+        if law_of_body(scene, source) == law:
+            keys = scene.materials[source.material].parameters
+            volume0 = volume / source.particles_per_cell
             rows.append([keys["density"] * volume0, volume0, keys["density"], *law.module.parameters(keys, dim)])
         else:
             rows.append(None)
@@ -104,7 +114,7 @@ def law_table(scene, law):
     tiny = np.abs(rounded[:, :3]) < np.finfo(rounded.dtype).tiny
     fits = np.isfinite(rounded).all(axis=1) & ~(tiny & (table[:, :1] > 0.0)).any(axis=1)
     if not fits.all():
-        name = scene.bodies[int(np.argmin(fits))].material
+        name = scene.sources[int(np.argmin(fits))].material
         text = f"mass, volume or a modulus of a particle is beyond the range of {scene.method.precision}"
         raise SceneError(f"scene: materials.{name}: {text}")
     return table
@@ -114,7 +124,8 @@ def domain_limits(scene, geometry):
     """(limits, ends) in 64ths of a cell, (dim, 2) int64: where a particle may be, and where a periodic axis repeats.
 
     Walls hold the material back; what has passed one by more than half a cell has left. Through a free face nothing holds
-    it: it may not pass at all. On periodic axes particles may drift as far beyond the end as from the middle of a layer.
+    it: it may not pass at all. On periodic axes, and through open faces, particles may drift as far beyond the end as from the
+    middle of a layer: a regroup is due before. Of the slab axis layers tell how far they have drifted.
     """
     limits = np.zeros((geometry.dim, 2), np.int64)
     ends = np.zeros((geometry.dim, 2), np.int64)
@@ -125,9 +136,11 @@ def domain_limits(scene, geometry):
             ends[axis] = first, first + 64 * cells
             limits[axis] = ends[axis] + (FARTHEST - SETTLED) * np.array([-1, 1])
             continue
-        for side, place in enumerate((0, 64 * cells)):
-            free = scene.domain.wall(f"{'xyz'[axis]}_{FACES[side]}").type == "free"
-            limits[axis, side] = place if free else place + (32 if side else -32)
+        for side, (place, out) in enumerate(((0, -1), (64 * cells, 1))):
+            kind = scene.domain.wall(f"{'xyz'[axis]}_{FACES[side]}").type
+            beyond = {"free": 0, "open": FARTHEST - (0 if axis == geometry.axes[0] else SETTLED)}.get(kind, 32)
+            limits[axis, side] = place + out * beyond
+            ends[axis, side] = place if kind == "open" else out * NEVER
     return limits, ends
 
 
@@ -169,7 +182,7 @@ def patch_walls(scene, geometry, patch, real):
     walls = []
     array_axis = {axis: number for number, axis in enumerate(geometry.axes) if axis >= 0}
     for face, wall in scene.domain.walls.items():
-        if wall.type == "free":
+        if wall.type in NOT_HELD:
             continue
         axis, at_max = "xyz".index(face[0]), face.endswith("max")
         place = array_axis[axis]

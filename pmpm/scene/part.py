@@ -36,11 +36,16 @@ class Part(BaseModel):
         if unknown:
             raise Problems(*(cls.unknown_key(key, data[key]) for key in unknown))
         fields = cls.model_fields.items()
-        missing = [(key, field) for key, field in fields if field.is_required() and key not in data]
+        missing = [(key, field) for key, field in fields if key not in data and cls.must_give(key, data)]
         if missing:
             raise Problems(*(Problem((key,), f"is missing: {field.description}") for key, field in missing))
         # In Python None says the same as leaving a key out; TOML has no such value.
         return {key: value for key, value in data.items() if value is not None or cls.model_fields[key].is_required()}
+
+    @classmethod
+    def must_give(cls, key: str, data: Mapping[Any, Any]) -> bool:
+        """Say whether a key must be given, with these others."""
+        return cls.model_fields[key].is_required()
 
     @classmethod
     def unknown_key(cls, key: Any, value: Any) -> Problem:

@@ -16,6 +16,7 @@ from pmpm.scene.colliders import Collider, named, wrong_names
 from pmpm.scene.exact import Exact, wrong_exact
 from pmpm.scene.functions import Unfit
 from pmpm.scene.geostatic import Geostatic
+from pmpm.scene.inflow import Inflow
 from pmpm.scene.materials import AnyMaterial, Material
 from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_error, value_text
 from pmpm.scene.part import Part
@@ -39,8 +40,7 @@ from pmpm.scene.values import (
 from pmpm.state.fields import OUTPUT_NAMES
 from pmpm.state.fields import Field as StoredField
 
-WALLS = ("stick", "slip", "separate", "friction", "free")
-PLANNED_WALLS = ("open",)
+WALLS = ("stick", "slip", "separate", "friction", "free", "open")
 CFL = 0.4
 DEPTHS = 16  # at which a stress is tried
 FLIP_BLEND = 0.99
@@ -60,7 +60,7 @@ LATER: Any = None
 class Wall(Part):
     """What one face of the domain does to material that reaches it."""
 
-    type: Annotated[str, choice(WALLS, PLANNED_WALLS)] = Field(description=f"one of {', '.join(WALLS)}")
+    type: Annotated[str, choice(WALLS)] = Field(description=f"one of {', '.join(WALLS)}")
     coefficient: Annotated[float, number(at_least=0.0)] = Field(
         default=0.0, description="coefficient of Coulomb friction, of a friction wall"
     )
@@ -77,8 +77,9 @@ class Wall(Part):
             raise Problems(
                 Problem(("coefficient",), f"belongs to a friction wall, not to {self.type}", self.coefficient)
             )
-        if self.type == "free" and self.velocity is not None:
-            raise Problems(Problem(("velocity",), "belongs to a wall that holds material, not to free", self.velocity))
+        if self.type in ("free", "open") and self.velocity is not None:
+            text = f"belongs to a wall that holds material, not to {self.type}"
+            raise Problems(Problem(("velocity",), text, self.velocity))
         return self
 
     @model_serializer
@@ -93,7 +94,7 @@ def wall_table(value: Any) -> Any:
     """Turn the short form, a wall's type alone, into a table."""
     if not isinstance(value, str):
         return value
-    check_word(value, WALLS, PLANNED_WALLS)
+    check_word(value, WALLS, ())
     return {"type": value}
 
 
@@ -367,7 +368,12 @@ class Scene(Part):
     materials: Annotated[
         dict[str, AnyMaterial], Checked(material_table, told=lambda table: table | {"minProperties": 1})
     ] = Field(description="one table for each material, like [materials.sand]")
-    bodies: Annotated[tuple[Body, ...], tables("body")] = Field(description="one table [[bodies]] for each body")
+    bodies: Annotated[tuple[Body, ...], tables("body", least=0)] = Field(
+        default=(), description="one table [[bodies]] for each body"
+    )
+    inflows: Annotated[tuple[Inflow, ...], tables("inflow", least=0)] = Field(
+        default=(), description="one table [[inflows]] for each region through which material comes in"
+    )
     body_force: forcing.BodyForce = Field(
         default=None, description="function b(x, X, t): acceleration (m/s2) at a place, a reference place and a time"
     )
@@ -439,6 +445,11 @@ class Scene(Part):
         """Number of cells along each axis."""
         return self.domain.cells
 
+    @property
+    def sources(self) -> tuple[Any, ...]:
+        """What particles come from: bodies, then inflows. The number of its source is what a particle knows of it."""
+        return (*self.bodies, *self.inflows)
+
     def to_toml(self) -> str:
         """Write the scene with all defaults filled in; reading it back gives an equal scene."""
         return tomli_w.dumps({k: v for k, v in self.model_dump(exclude_none=True).items() if v != []})
@@ -447,7 +458,7 @@ class Scene(Part):
     def list_of_bodies(self, bodies: tuple[Body, ...]) -> list[dict[str, Any]]:
         return [body.model_dump(exclude_none=True) for body in bodies]
 
-    @field_serializer("loads", "motions", "colliders")
+    @field_serializer("loads", "motions", "colliders", "inflows")
     def lists_of_parts(self, parts: tuple[Part, ...]) -> list[dict[str, Any]]:
         return [part.model_dump(exclude_none=True) for part in parts]
 
@@ -459,10 +470,17 @@ class Scene(Part):
     def tables_of_materials(self, materials: dict[str, Material]) -> dict[str, dict[str, Any]]:
         return {name: material.table(self.dim) for name, material in materials.items()}
 
+    @classmethod
+    def must_give(cls, key: str, data: Mapping[Any, Any]) -> bool:
+        """Say whether a key must be given: bodies, unless the material flows in."""
+        return super().must_give(key, data) or (key == "bodies" and not data.get("inflows"))
+
     @model_validator(mode="after")
     def complete(self) -> "Scene":
         """Check what depends on more than one table and fill in what depends on dimension and duration."""
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_body(body, index)]
+        if not self.sources:
+            problems.append(Problem(("bodies",), "must have at least one body", list(self.bodies)))
         problems += self.wrong_fields()
         axis, axes = self.parallel.slab_axis, AXES[: self.dim]
         if axis is not None and axis not in axes:
@@ -477,6 +495,9 @@ class Scene(Part):
         problems += [Problem((*path, *p.path), p.text, p.value) for path, misfits in forced for p in misfits]
         if self.body_force is not None:
             problems += forcing.wrong_body_force(self.body_force, self.dim, self.domain.size)
+        problems += [
+            problem for index, inflow in enumerate(self.inflows) for problem in self.wrong_inflow(inflow, index)
+        ]
         for name, material in self.materials.items():
             problems += [
                 Problem(("materials", name, *problem.path), problem.text, problem.value)
@@ -486,10 +507,13 @@ class Scene(Part):
             raise Problems(*problems)
         settle(self, materials={name: material.complete(self.dim) for name, material in self.materials.items()})
         settle(self, bodies=tuple(self.complete_body(body) for body in self.bodies))
+        settle(self, inflows=tuple(self.complete_inflow(inflow) for inflow in self.inflows))
         settle(self, output=self.complete_output())
         settle(self, colliders=tuple(named(self.colliders)))
         problems = [problem for index, body in enumerate(self.bodies) for problem in self.wrong_start(body, index)]
-        if self.exact is not None:
+        if self.exact is not None and self.inflows:
+            problems.append(Problem(("inflows",), "exclude exact: what flows in starts at no reference position"))
+        elif self.exact is not None:
             problems += wrong_exact(self.exact, self.bodies, self.dim, self.time.end)
         if problems:
             raise Problems(*problems)
@@ -501,6 +525,11 @@ class Scene(Part):
         return body.model_copy(
             update={"particles_per_cell": count, "velocity": velocity, "stress": self.complete_stress(body)}
         )
+
+    def complete_inflow(self, inflow: Inflow) -> Inflow:
+        count = 2**self.dim if inflow.particles_per_cell is None else inflow.particles_per_cell
+        until = self.time.end if inflow.until is None else inflow.until
+        return inflow.model_copy(update={"particles_per_cell": count, "until": until})
 
     def complete_stress(self, body: Body) -> Geostatic | None:
         if body.stress is None:
@@ -525,10 +554,8 @@ class Scene(Part):
 
     def wrong_body(self, body: Body, index: int) -> Iterator[Problem]:
         here = ("bodies", index)
-        if body.material not in self.materials:
-            near = known_text(body.material, self.materials, "materials")
-            yield Problem((*here, "material"), f"is not a material of this scene; {near}", body.material)
-        else:
+        yield from self.wrong_material(body, here)
+        if body.material in self.materials:
             yield from self.wrong_pressure(body, here)
         for problem in start.wrong_start(body, self.dim):
             yield Problem((*here, *problem.path), problem.text, problem.value)
@@ -538,7 +565,26 @@ class Scene(Part):
         if not misfits:
             yield from self.outside(body, (*here, "shape"))
 
-    def outside(self, body: Body, path: tuple[str | int, ...]) -> Iterator[Problem]:
+    def wrong_inflow(self, inflow: Inflow, index: int) -> Iterator[Problem]:
+        here = ("inflows", index)
+        yield from self.wrong_material(inflow, here)
+        misfits = list(inflow.misfits(self.dim))
+        beyond = [] if misfits else list(self.outside(inflow, (*here, "shape")))
+        yield from beyond
+        if not misfits and not beyond:
+            misfits = list(inflow.too_small(self.dim, self.domain.cell_size))
+        for problem in misfits:
+            yield Problem((*here, *problem.path), problem.text, problem.value)
+        end = self.time.end if inflow.until is None else inflow.until
+        if inflow.start >= end:
+            yield Problem((*here, "start"), f"s must be < {end} s, when the stream ends", inflow.start)
+
+    def wrong_material(self, source: Body | Inflow, here: tuple[str | int, ...]) -> Iterator[Problem]:
+        if source.material not in self.materials:
+            near = known_text(source.material, self.materials, "materials")
+            yield Problem((*here, "material"), f"is not a material of this scene; {near}", source.material)
+
+    def outside(self, body: Body | Inflow, path: tuple[str | int, ...]) -> Iterator[Problem]:
         size = np.array(self.domain.size)
         low, high = body.shape.bounds()
         beyond = (low < -ROUNDING * size) | (high > (1.0 + ROUNDING) * size)

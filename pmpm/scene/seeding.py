@@ -39,6 +39,15 @@ def lattice(particles_per_cell, dim):
     return np.stack(np.meshgrid(*[places] * dim, indexing="ij"), -1).reshape(-1, dim)
 
 
+def lattice_range(corners, spacing, shift):
+    """(n, dim) int64 numbers of the places (number + 1/2) spacing + shift between two corners (dim,) m, and a few more."""
+    low, high = corners
+    first = np.floor((low - shift) / spacing).astype(np.int64) - 1
+    last = np.ceil((high - shift) / spacing).astype(np.int64) + 1
+    ranges = [np.arange(a, b) for a, b in zip(first, last, strict=True)]
+    return np.stack(np.meshgrid(*ranges, indexing="ij"), -1).reshape(-1, len(first))
+
+
 def jittered(cells, particles_per_cell, body):
     """(cells, particles_per_cell, dim) random places within each cell, from a generator keyed on body and cell alone.
 
@@ -136,8 +145,8 @@ def surrounding_cells(scene, body):
 
 def surroundings(scene):
     """The Surroundings of all bodies: found once, for there may be thousands of them."""
-    first, last = zip(*(surrounding_cells(scene, body) for body in scene.bodies), strict=True)
-    return Surroundings(np.array(first), np.array(last), id_offsets(scene))
+    found = np.array([surrounding_cells(scene, body) for body in scene.bodies], np.int64).reshape(-1, 2, scene.dim)
+    return Surroundings(found[:, 0], found[:, 1], id_offsets(scene))
 
 
 def meeting_later_bodies(scene, number, around):

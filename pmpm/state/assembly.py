@@ -174,6 +174,20 @@ def leaving(population, geometry, kernels, first, last):
     return Leaving(staying, others, np.repeat(population.first_layer + np.arange(now), counts))
 
 
+def take_beyond(population, geometry, kernels, opened):
+    """A Cloud of those who are beyond open faces, `opened` (dim, 2), taken out of a population that is to be ordered anew."""
+    form = FORMATS[population.reals.dtype]
+    lying = population.segments, population.layer_start, population.first_layer, form.fraction
+    told = np.array(geometry.axes), np.array(geometry.cells), opened
+    count = kernels.count_beyond(population.places, *lying, *told)
+    gone = Cloud.room(int(count), population.reals.shape[1], geometry.dim, population.reals.dtype)
+    if count:
+        kernels.take_beyond(
+            population.places, population.id, *lying, *told, gone.places, gone.node, gone.row, gone.id
+        )  # fmt: skip
+    return gone
+
+
 @dataclass
 class Arrivals:
     """Particles that come into a rank's layers from elsewhere: the first `before` rows of `cloud` come from lower in the one

@@ -105,6 +105,7 @@ def plan(scene, options, comm):
     factors = [2**level if options.refine == SPACE else 1 for level in range(options.levels)]
     given = [level_scene(scene, factor) for factor in factors]
     refuse_other_domains(given)
+    refuse_flows(given[0])
     if options.until is not None and options.until > given[0].time.end:
         raise SceneError(f"--until {options.until}: must be at most time.end = {given[0].time.end} s")
     choices = [dict(zip(options.axes, values, strict=True)) for values in itertools.product(*options.axes.values())]
@@ -147,6 +148,14 @@ def refuse_other_domains(scenes):
                 "study: without an exact solution all levels must have the same domain.size and whole refinements of the "
                 "first one's cells"
             )
+
+
+def refuse_flows(scene):
+    """Levels are compared by the same material, which must be there from the start to the end."""
+    opened = [face for face, wall in scene.domain.walls.items() if wall.type == "open"]
+    if opened or scene.inflows:
+        what = f"domain.walls.{opened[0]} is open" if opened else "inflows bring material"
+        raise SceneError(f"study: {what}: levels are compared by material that is there from the start to the end")
 
 
 def possible(scene, choices, options):

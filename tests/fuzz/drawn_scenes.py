@@ -105,6 +105,11 @@ def scenes(draw, row=None, telling=0):
     if draw(st.booleans()):
         table["colliders"] = [draw(collider(cells, h, number)) for number in range(draw(st.integers(0, 2)))]
     if draw(st.booleans()):
+        table["inflows"] = [draw(inflow(names, cells, h)) for _ in range(draw(st.integers(0, 2)))]
+        if table["inflows"] and draw(st.booleans()):
+            del table["bodies"]
+            table.pop("loads", None)
+    if draw(st.booleans()):
         table["guard"] = {"keep_copy": draw(st.booleans()), "interval": draw(st.sampled_from((1, 2, 100)))}
         table["guard"]["energy_gain"] = draw(st.sampled_from((0.0, 0.5, 1e300)))
         table["parallel"] = {"balance": draw(st.booleans()), "slab_axis": draw(maybe(st.just("xyz"[long])))}
@@ -140,12 +145,14 @@ def gravities(draw, dim, h):
 
 @st.composite
 def domain(draw, row, cells, periodic, h, gravity):
+    long = max(range(row["dim"]), key=lambda axis: cells[axis])
     kinds = agreement.WALLS[row["dim"], row["precision"]]
     walls = {}
     for axis in "xyz"[: row["dim"]]:
         for end in ("min", "max"):
             if axis not in periodic:
-                walls[f"{axis}_{end}"] = draw(wall(kinds, row["dim"]))
+                # Of the axis of slabs, for of others G2P would be compiled once more.
+                walls[f"{axis}_{end}"] = draw(wall(kinds, row["dim"], ("open",) if axis == "xyz"[long] else ()))
     return {
         "size": [count * h for count in cells],
         "cell_size": h,
@@ -156,10 +163,10 @@ def domain(draw, row, cells, periodic, h, gravity):
 
 
 @st.composite
-def wall(draw, kinds, dim):
-    kind = draw(st.sampled_from((*kinds, "free")))
+def wall(draw, kinds, dim, opened):
+    kind = draw(st.sampled_from((*kinds, "free", *opened)))
     table = dict(kind) if isinstance(kind, dict) else {"type": kind}
-    if kind == "free" or draw(st.booleans()):
+    if kind in ("free", "open") or draw(st.booleans()):
         return draw(st.sampled_from((table, kind)))
     return table | {"velocity": draw(vectors(-0.01, 0.01, dim))}
 
@@ -324,6 +331,24 @@ def write_maps():
 
 
 MAPS, MAP_CHECKSUMS = write_maps()
+
+
+@st.composite
+def inflow(draw, names, cells, h):
+    dim, end = len(cells), 1e-3
+    low = [draw(between(0.0, count - 4.0)) for count in cells]
+    high = [x + draw(between(2.5, 4.0)) for x in low]
+    middle = [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
+    box, ball = {"type": "box", "min": low, "max": high}, {"type": "sphere", "center": middle, "radius": 1.1}
+    return {
+        "material": draw(st.sampled_from(names)),
+        "shape": in_metres(draw(st.sampled_from((box, ball))), h),
+        "velocity": draw(vectors(-0.1, 0.1, dim) | st.just([0] * dim)),
+        "particles_per_cell": draw(maybe(st.sampled_from((1, 4) if dim == 2 else (1, 8)))),
+        "start": draw(maybe(st.sampled_from((0, end * h)))),
+        "until": draw(maybe(st.sampled_from((2.0 * end * h, 1e9)))),
+        "limit": draw(maybe(st.sampled_from((h**dim, 1e9 * h**dim)))),
+    }
 
 
 @st.composite

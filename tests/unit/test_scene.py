@@ -15,6 +15,7 @@ from pmpm.scene.schema import Body, Domain, Scene, Time, Wall
 
 BUILTIN = (
     "cantilever",
+    "chute_flow",
     "colliding_disks",
     "column_collapse",
     "column_collapse_3d",
@@ -22,6 +23,7 @@ BUILTIN = (
     "dam_break_3d",
     "dam_break_obstacle",
     "hopper",
+    "jet",
     "landslide",
     "mixed_materials",
     "mud_slump",
