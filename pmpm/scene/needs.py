@@ -42,7 +42,7 @@ def scene_needs(scene):
         walls,
         f_bar=method.f_bar,
         body_force=force,
-        uses_reference=scene.exact is not None or (force is not None and forcing.reads(force, "X")),
+        uses_reference=scene.exact is not None or forcing.reads_reference(force),
         loaded=bool(scene.loads),
     )
 
