@@ -184,8 +184,14 @@ name = "door"
 type = "section"
 position = [0.4, 0.1, 0.1]
 axis = "x"
-"""
-FILES = ("probes/in_front.csv", "gauges/line.csv", "gauges/door.csv", "maps.npz")
+""" + "".join(f'[[output.probes]]\nname = "near_{n}"\nposition = [0.{n}, 0.13, 0.1]\n' for n in range(2, 6))
+FILES = (
+    "probes/in_front.csv",
+    *(f"probes/near_{n}.csv" for n in range(2, 6)),
+    "gauges/line.csv",
+    "gauges/door.csv",
+    "maps.npz",
+)
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +209,7 @@ def contents(run):
 
 def test_a_run_leaves_a_line_of_each_at_every_line_of_diagnostics(through):
     run = pmpm.load(through)
-    assert set(run.probes) == {"in_front"}
+    assert set(run.probes) == {"in_front", "near_2", "near_3", "near_4", "near_5"}  # one lies near the cut of two ranks
     assert set(run.gauges) == {"line", "door"}
     times = run.diagnostics["time"]
     for series in (run.probes["in_front"], run.gauges["line"], run.gauges["door"]):
@@ -219,7 +225,7 @@ def test_a_run_leaves_a_line_of_each_at_every_line_of_diagnostics(through):
 def test_an_interrupted_run_has_the_same_bytes(through, tmp_path, capsys):
     out, scene = tmp_path / "run", through.parent / "scene.toml"
     assert main(["run", str(scene), "--out", str(out), "--quiet", "--until", "0.025"]) == 0
-    for name in FILES[:3]:  # what came after the checkpoint, before the run was killed
+    for name in FILES[:-1]:  # what came after the checkpoint, before the run was killed
         with open(out / name, "a", encoding="utf-8") as file:
             file.write("99,0.02,0.001\n")
     assert main(["run", "--restart", str(out), "--quiet"]) == 0
