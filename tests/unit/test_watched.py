@@ -11,6 +11,7 @@ import pmpm
 from pmpm import maps, sampling
 from pmpm.cli import main
 from pmpm.kernels.needs import STENCILS
+from pmpm.output import plot
 from pmpm.output.files import OutputError
 
 WATER = {"model": "fluid", "density": 1e3, "sound_speed": 30.0, "tension_cutoff": False}
@@ -287,3 +288,27 @@ def test_damaged_maps_are_named(through, tmp_path):
     (tmp_path / "maps.npz").write_bytes((through / "maps.npz").read_bytes()[:100])
     with pytest.raises(OutputError, match="maps.npz is damaged"):
         _ = pmpm.load(tmp_path).maps
+
+
+def test_plot_draws_what_was_watched(through, tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    panels = {panel.title: panel for panel in plot.panels_of(pmpm.load(through))}
+    run = pmpm.load(through)
+    (_, times, heights), *_ = panels["height of the surface at gauges"].lines
+    assert np.array_equal(heights, run.gauges["line"]["height"], equal_nan=True)
+    assert [label for label, *_ in panels["discharge at gauges"].lines] == ["door"]
+    assert len(panels["speed at probes"].lines) == len(panels["pressure at probes"].lines) == 5
+    image, names, ends = panels["depth at the end"].image
+    assert np.array_equal(image, run.maps["deposit"])
+    assert (names, ends) == (["x", "z"], pytest.approx([0.0, 0.8, 0.0, 0.3]))
+    assert main(["plot", str(through), "--out", str(tmp_path / "x.png")]) == 0
+    assert "largest depth, largest speed in a column, depth at the end" in capsys.readouterr().out
+
+
+def test_maps_of_a_run_in_the_plane_are_lines():
+    simulation = still()
+    (panel,) = plot.map_panels(maps.Maps(simulation, ["deposit"]).arrays(simulation))
+    ((_, x, depth),) = panel.lines
+    assert panel.along == "x (m)"
+    assert depth[2:8] == pytest.approx(0.4)
+    assert x[0] == 0.5 * CELL
