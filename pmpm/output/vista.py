@@ -111,7 +111,7 @@ class Stage:
             if view.materials:
                 plotter.add_legend(
                     [[name, colour] for name, colour in zip(view.materials, view.material_colours, strict=True)],
-                    bcolor=None, border=False, face="circle", size=(0.2, 0.04 * len(view.materials)),
+                    bcolor=None, border=False, face="circle", size=(0.14, 0.03 * len(view.materials)),
                 )  # fmt: skip
             else:
                 plotter.add_scalar_bar(
