@@ -223,13 +223,16 @@ def test_a_run_leaves_a_line_of_each_at_every_line_of_diagnostics(through):
     assert float(run.maps["time"]) == times[-1]
 
 
-def test_an_interrupted_run_has_the_same_bytes(through, tmp_path, capsys):
+@pytest.mark.parametrize(("before", "after"), [(None, 2), (2, None)])
+def test_an_interrupted_run_has_the_same_bytes_on_any_ranks(before, after, through, tmp_path):
     out, scene = tmp_path / "run", through.parent / "scene.toml"
-    assert main(["run", str(scene), "--out", str(out), "--quiet", "--until", "0.025"]) == 0
+    done = launch.python(["-m", "pmpm", "run", scene, "--out", out, "--quiet", "--until", 0.025], before, 120, tmp_path)
+    assert done.status == 0, done.text
     for name in FILES[:-1]:  # what came after the checkpoint, before the run was killed
         with open(out / name, "a", encoding="utf-8") as file:
             file.write("99,0.02,0.001\n")
-    assert main(["run", "--restart", str(out), "--quiet"]) == 0
+    done = launch.python(["-m", "pmpm", "run", "--restart", out, "--quiet"], after, 120, tmp_path)
+    assert done.status == 0, done.text
     assert contents(out) == contents(through)
 
 
