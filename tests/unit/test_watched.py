@@ -253,15 +253,6 @@ def test_what_is_watched_changes_no_bit_of_the_run(through, tmp_path):
     assert "maps" not in (tmp_path / "run" / "scene.toml").read_text(encoding="utf-8")
 
 
-def test_a_run_that_nobody_watches_imports_nothing_for_it(tmp_path):
-    code = (
-        "import sys\nfrom pmpm.cli import main\nassert main(['run', 'dam_break', '--steps', '2', '--quiet']) == 0\n"
-        "assert not {'pmpm.sampling', 'pmpm.maps', 'pmpm.series', 'pyvista'} & set(sys.modules)"
-    )
-    done = launch.python(["-c", code], None, 120, tmp_path)
-    assert done.status == 0, done.text
-
-
 def test_a_probe_that_comes_at_a_restart_begins_there(through, tmp_path):
     out, scene = tmp_path / "run", tmp_path / "more.toml"
     assert main(["run", str(through.parent / "scene.toml"), "--out", str(out), "--quiet", "--until", "0.025"]) == 0
