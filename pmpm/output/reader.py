@@ -24,6 +24,7 @@ from pmpm.output.run_directory import (
     MAPS,
     RECORD,
     SCENE,
+    SERIES,
     read_record,
     read_status,
     series_files,
@@ -353,6 +354,11 @@ def describe_run(run):
         times = diagnostics.get("time", np.empty(0))
         span = f", t = {times[0]:.6g} to {times[-1]:.6g} s" if len(times) else ""
         lines += [f"diagnostics   {len(times)} lines{span}", "  " + ", ".join(diagnostics)]
+    for kind in SERIES:
+        names = [path.stem for path in series_files(run.path) if path.parent.name == kind]
+        lines += [f"{kind:<13} {', '.join(names)}"] if names else []
+    if maps := run.maps:
+        lines.append(f"maps          {', '.join(name for name in maps if maps[name].ndim and name not in 'xyz')}")
     return "\n".join(lines)
 
 

@@ -1,6 +1,5 @@
 """Probes, gauges and maps: what they measure of states that are known, and that runs keep them over ranks and restarts."""
 
-import json
 import math
 
 import launch
@@ -224,24 +223,17 @@ def test_a_run_leaves_a_line_of_each_at_every_line_of_diagnostics(through):
 
 
 @pytest.mark.parametrize(("before", "after"), [(None, 2), (2, None)])
-def test_an_interrupted_run_has_the_same_bytes_on_any_ranks(before, after, through, tmp_path):
+def test_an_interrupted_run_on_other_ranks_before_and_after_has_the_same_bytes(before, after, through, tmp_path):
     out, scene = tmp_path / "run", through.parent / "scene.toml"
     done = launch.python(["-m", "pmpm", "run", scene, "--out", out, "--quiet", "--until", 0.025], before, 120, tmp_path)
     assert done.status == 0, done.text
+    assert pmpm.load(out).record["report"]["ranks"] == (before or 1)
     for name in FILES[:-1]:  # what came after the checkpoint, before the run was killed
         with open(out / name, "a", encoding="utf-8") as file:
             file.write("99,0.02,0.001\n")
     done = launch.python(["-m", "pmpm", "run", "--restart", out, "--quiet"], after, 120, tmp_path)
     assert done.status == 0, done.text
     assert contents(out) == contents(through)
-
-
-def test_two_ranks_write_the_same_bytes(through, tmp_path):
-    scene = through.parent / "scene.toml"
-    done = launch.python(["-m", "pmpm", "run", scene, "--out", tmp_path / "run", "--quiet"], 2, 120, tmp_path)
-    assert done.status == 0, done.text
-    assert json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))["report"]["ranks"] == 2
-    assert contents(tmp_path / "run") == contents(through)
 
 
 def test_what_is_watched_changes_no_bit_of_the_run(through, tmp_path):
@@ -297,6 +289,13 @@ def test_plot_draws_what_was_watched(through, tmp_path, capsys):
     assert (names, ends) == (["x", "z"], pytest.approx([0.0, 0.8, 0.0, 0.3]))
     assert main(["plot", str(through), "--out", str(tmp_path / "x.png")]) == 0
     assert "largest depth, largest speed in a column, depth at the end" in capsys.readouterr().out
+
+
+def test_info_names_what_was_watched(through, capsys):
+    assert main(["info", str(through)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "gauges        door, line" in lines
+    assert "maps          max_depth, max_speed, deposit" in lines
 
 
 def test_maps_of_a_run_in_the_plane_are_lines():
