@@ -39,11 +39,21 @@ def numbers_joined(arguments):
     joined: list[str] = []
     for argument in arguments:
         option = joined[-1] if joined else ""
-        if argument.startswith("-") and is_number(argument) and option.startswith("--") and "=" not in option:
+        if option == "--range" and is_number(argument):
+            joined[-1] = f"{option}={argument}"
+        elif option.startswith("--range=") and "," not in option and is_number(argument):
+            joined[-1] = f"{option},{argument}"
+        elif argument.startswith("-") and is_number(argument) and option.startswith("--") and "=" not in option:
             joined[-1] = f"{option}={argument}"
         else:
             joined.append(argument)
     return joined
+
+
+def two_numbers(text):
+    """LO,HI as two numbers: what `numbers_joined` makes of the two arguments of --range."""
+    low, high = map(float, text.split(","))
+    return low, high
 
 
 def is_number(text):
@@ -141,7 +151,9 @@ def parser(rank=0):
     plot = commands.add_parser("plot", help="draw the diagnostics of a run over time (needs matplotlib)")
     plot.add_argument("path", metavar="DIR")
     plot.add_argument("--out", metavar="FILE", help=".png, .pdf or .svg (default: plot.png in the folder of the run)")
-    render = commands.add_parser("render", help="a picture or a film of a run, without ParaView (needs matplotlib)")
+    render = commands.add_parser(
+        "render", help="a picture or a film of a run, without ParaView (needs matplotlib, or PyVista)"
+    )
     render.add_argument("path", metavar="DIR")
     render.add_argument("--field", metavar="NAME", help="that colours particles (default: speed)")
     render.add_argument("--snapshot", type=int, default=-1, metavar="N", help="which one (default: -1, the last)")
@@ -150,6 +162,27 @@ def parser(rank=0):
         metavar="FILE",
         help=".png, .pdf, .svg, or a film: .gif, .mp4 (default: render.png in the folder of the run)",
     )
+    render.add_argument(
+        "--with",
+        dest="backend",
+        choices=("pyvista", "matplotlib"),
+        help="who draws (default: PyVista in 3-D, if it works)",
+    )
+    render.add_argument(
+        "--view",
+        default="iso",
+        metavar="VIEW",
+        help="in 3-D from where: iso, x, y, z, --view=-x, ..., ELEVATION,AZIMUTH",
+    )
+    render.add_argument(
+        "--zoom", type=float, default=1.0, metavar="F", help="2: twice as large (default: 1, the domain)"
+    )
+    render.add_argument(
+        "--range", type=two_numbers, metavar="LO HI", help="of the colours (default: that of all that is drawn)"
+    )
+    render.add_argument("--colors", metavar="NAME", help="colour map of matplotlib (default: viridis)")
+    render.add_argument("--size", type=int, nargs=2, metavar=("W", "H"), help="of the picture in pixels")
+    render.add_argument("--no-box", action="store_true", help="do not draw the edges of the domain, or axes")
     render.add_argument("--quiet", action="store_true", help="no progress on the screen")
     return top
 
@@ -357,10 +390,14 @@ def plot(options, comm):
 
 
 def render(options, comm):
+    from pmpm.output.render import Asked
     from pmpm.output.render import render as draw
 
-    asked = options.path, options.field, options.snapshot, options.out, options.quiet
-    say(draw(*asked) if comm.rank == 0 else "", comm.rank)
+    pixels = options.size and tuple(options.size)
+    asked = Asked(options.field, options.backend, options.view, options.zoom, options.range, options.colors, pixels,
+                  not options.no_box)  # fmt: skip
+    drawn = draw(options.path, asked, options.snapshot, options.out, options.quiet) if comm.rank == 0 else ""
+    say(drawn, comm.rank)
     return FINISHED
 
 

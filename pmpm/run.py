@@ -6,6 +6,7 @@ from pmpm.output import checkpoints, run_directory
 from pmpm.output.diagnostics import Diagnostics
 from pmpm.output.files import OutputError, on_rank_zero
 from pmpm.output.progress import Progress
+from pmpm.output.run_directory import MAPS
 from pmpm.output.snapshots import SnapshotWriter, write_failed
 from pmpm.requests import Requests, reason
 from pmpm.simulation import Simulation
@@ -101,6 +102,30 @@ def end_status(simulation):
     return f"stopped on request: {reason(simulation.asked)}" if simulation.asked >= STOP else "stopped early"
 
 
+def series_of(simulation, directory):
+    """What writes the probes and gauges of a scene; None without any."""
+    if not (simulation.scene.output.probes or simulation.scene.output.gauges):
+        return None
+    from pmpm.series import Series
+
+    return Series(simulation, directory)
+
+
+def maps_of(simulation, origin):
+    """The Maps that a scene asks for; None without any."""
+    if not simulation.scene.output.maps:
+        return None
+    from pmpm.maps import continued
+
+    return continued(simulation, simulation.scene.output.maps, origin and origin.path)
+
+
+def write_maps(path, comm, arrays):
+    from pmpm.maps import write
+
+    write(path, comm, arrays)
+
+
 class Outputs:
     """All that watches a run: progress, snapshots, diagnostics, checkpoints, the copy kept for a failure, and requests."""
 
@@ -113,9 +138,12 @@ class Outputs:
         # In another folder, where a run branches off, the first state is not a second one.
         at = before if origin and directory.path == origin.run else {}
         self.last_snapshot = Once(self.snapshots, at.get("snapshot_step"))
-        self.last_diagnostics = Once(self.diagnostics, at.get("diagnostics_step"))
+        self.series, self.maps = series_of(simulation, directory), maps_of(simulation, origin)
+        self.last_diagnostics = Once(self.measured, at.get("diagnostics_step"))
         bad = [number for number, _ in origin.complaints] if origin else []
-        self.checkpoints = checkpoints.CheckpointWriter(directory, scene.output.checkpoint_keep, self.counts, bad=bad)
+        self.checkpoints = checkpoints.CheckpointWriter(
+            directory, scene.output.checkpoint_keep, self.counts, bad=bad, beside=self.beside
+        )
         self.copy = None
         for note in (*(origin.notes(simulation) if origin else ()), *simulation.notes):
             progress.stage(note)
@@ -124,7 +152,13 @@ class Outputs:
         """How much there is of what is counted, and after which step the last one came, as a checkpoint holds it."""
         steps = {"snapshot_step": self.last_snapshot.step, "diagnostics_step": self.last_diagnostics.step}
         known = {name: step for name, step in steps.items() if step is not None}
-        return {"snapshots": self.snapshots.count, "diagnostics": self.diagnostics.count} | known
+        lines = self.series.counts() if self.series else {}
+        return {"snapshots": self.snapshots.count, "diagnostics": self.diagnostics.count} | known | lines
+
+    def measured(self, simulation):
+        self.diagnostics(simulation)
+        if self.series:
+            self.series(simulation)
 
     def run(self, until, steps):
         """Run the simulation with everything attached, and write what belongs to its end."""
@@ -134,6 +168,8 @@ class Outputs:
         simulation.every(snapshots, seconds=output.snapshot_interval, at_start=begins, name="snapshots")
         simulation.every(diagnostics, seconds=output.diagnostics_interval, at_start=begins, name="diagnostics")
         simulation.every(self.progress, steps=1, at_start=True)
+        if self.maps:
+            simulation.every(self.maps, steps=1, at_start=begins)
         if output.checkpoint_interval is not None:
             simulation.every(self.write_checkpoint, seconds=output.checkpoint_interval, name="checkpoints")
         if guard.keep_copy:
@@ -145,6 +181,7 @@ class Outputs:
         if simulation.finished or simulation.asked < STOP:
             snapshots(simulation)
             diagnostics(simulation)
+            self.write_maps(simulation)
         self.progress.finish(simulation)
         for note in simulation.closing_notes:
             self.progress.stage(note)
@@ -158,10 +195,19 @@ class Outputs:
 
     def write_checkpoint(self, simulation):
         self.checkpoints(simulation)
+        self.write_maps(simulation)
         self.requests.wrote_checkpoint(self.checkpoints.longest)
 
+    def write_maps(self, simulation):
+        if self.maps:
+            write_maps(self.directory.path / MAPS, simulation.comm, self.maps.arrays(simulation))
+
+    def beside(self, simulation):
+        """What a checkpoint holds besides what the simulation needs."""
+        return self.maps.datasets(simulation) if self.maps else {}
+
     def keep_copy(self, simulation):
-        self.copy = simulation.state(self.counts()).copy()
+        self.copy = simulation.state(self.counts()).copy(), self.beside(simulation)
 
     def keep_failed(self, failure):
         """Write the state that failed, and the copy kept before; returns what to say of them."""
@@ -169,7 +215,7 @@ class Outputs:
         try:
             told.append(f"its state is in {write_failed(self.directory, self.simulation, str(failure))}")
             if self.copy is not None:
-                self.checkpoints.write(self.simulation, self.copy)
+                self.checkpoints.write(self.simulation, *self.copy)
         except OutputError as error:
             told.append(str(error))
         return "; " + "; ".join([*told, self.newest_text()])

@@ -16,7 +16,7 @@ def all_fields(scene):
     """Names of everything that a scene can write: the common fields and the state of its laws."""
     used = [scene.materials[body.material] for body in scene.sources]
     states = [field.name for material in used for field in LAWS[material.model].state_fields(material.parameters)]
-    return list(dict.fromkeys((*OUTPUT_NAMES, *states)))
+    return [name for name in dict.fromkeys((*OUTPUT_NAMES, *states)) if scene.field_kept_by_nobody(name) is None]
 
 
 def arguments_of(settings):

@@ -64,6 +64,9 @@ class FakeSimulation:
         # A rank without sand does not know of the law.
         return {"drucker_prager": state} if is_sand.any() else {}
 
+    def mean_forces(self):
+        return {}
+
     def measure(self):
         return {"particles": float(self.count), "mass": 2.0 / 3.0, "momentum_x": 1e-300, "max_speed": float("nan")}
 

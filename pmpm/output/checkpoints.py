@@ -11,6 +11,7 @@ import contextlib
 import os
 import re
 import time as clock
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -30,13 +31,14 @@ class CheckpointWriter:
     """Observer that writes DIR/checkpoints/000000.hdf, 000001.hdf, ... and deletes all but the newest `keep`.
 
     `outputs()` gives the numbers of snapshots and lines of diagnostics so far. `bad`: numbers of checkpoints found damaged,
-    which do not count among those kept.
+    which do not count among those kept. `beside(simulation)` gives datasets that watchers of the run need to go on.
     """
 
-    def __init__(self, directory, keep, outputs=dict, parallel=None, bad=()):
+    def __init__(self, directory, keep, outputs=dict, parallel=None, bad=(), beside=None):
         self.folder, self.comm = directory.path / CHECKPOINTS, directory.comm
         self.keep, self.outputs, self.bad = keep, outputs, set(bad)
         self.parallel = parallel or default_parallel(self.comm)
+        self.beside: Callable = beside or (lambda simulation: {})
         self.step: int | None = None
         self.newest: Path | None = None
         self.longest = 0.0  # s that a checkpoint has taken
@@ -44,14 +46,14 @@ class CheckpointWriter:
     def __call__(self, simulation):
         """Write a checkpoint of `simulation`, at most one per step. Collective; OutputError on all ranks if any fails."""
         if self.step != simulation.step_count:
-            self.write(simulation, simulation.state(self.outputs()))
+            self.write(simulation, simulation.state(self.outputs()), self.beside(simulation))
 
-    def write(self, simulation, state):
-        """Write a checkpoint of a state that `simulation` had."""
+    def write(self, simulation, state, beside=None):
+        """Write a checkpoint of a state that `simulation` had, with more datasets `beside` it."""
         began = clock.perf_counter()
         path = self.folder / f"{on_rank_zero(self.comm, self.next_number):06d}.hdf"
         pieces, attributes = simulation.datasets(state)
-        write_checkpoint(self.comm, path, pieces, attributes, self.parallel)
+        write_checkpoint(self.comm, path, pieces | (beside or {}), attributes, self.parallel)
         on_rank_zero(self.comm, lambda: prune(self.folder, self.keep, self.bad))
         self.step, self.newest = state.record["step_count"], path
         self.longest = max(self.longest, clock.perf_counter() - began)

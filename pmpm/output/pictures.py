@@ -1,9 +1,23 @@
 """How pictures look, and what to install for them: matplotlib is an extra, imported when something is drawn."""
 
+from dataclasses import dataclass
+
+import numpy as np
+
 from pmpm.output.files import unfinished_name
 from pmpm.scene.errors import SceneError
 
 INSTALL = "pip install 'pmpm[viz]'"
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What stands in the way of material, for pictures: points (n, dim) in m; triangles (m, 3) of them in space, or None for a
+    line through all points, in the plane as a rule."""
+
+    points: np.ndarray
+    triangles: np.ndarray | None = None
+    opacity: float = 0.6
 
 
 def figure_class(asker):

@@ -1,5 +1,5 @@
 """A run's diagnostics over time as a picture, for `pmpm plot`: energies, momentum, how far material has come, time steps, and
-where the run time went."""
+where the run time went; its probes and gauges over time, and its maps."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,18 +17,26 @@ MOST_SNAPSHOTS = 100  # that are looked at for how far material has come
 ROWS = 1 << 20  # of a snapshot that are read at a time
 TINY = 1e-300  # of an axis: what rests has one as well
 ENERGIES = "kinetic", "strain", "potential", "dissipated"
+MAPS = (
+    ("max_depth", "largest depth", "m"),
+    ("max_speed", "largest speed in a column", "m/s"),
+    ("deposit", "depth at the end", "m"),
+)
 STEADY = 1e-12  # of the largest energy: a line that moves less is round-off
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel: lines (label, x, y) over time, or bars (label, least, mean, most)."""
+    """One panel: lines (label, x, y) over time, or `along` something else; or bars (label, least, mean, most); or an image
+    (values (n, m), names of the two axes, their ends in m: left, right, low, high)."""
 
     title: str
     unit: str
     lines: tuple = ()
     bars: tuple = ()
     from_zero: bool = False
+    along: str = "time (s)"
+    image: tuple = ()
 
 
 def plot(path, file=None):
@@ -71,7 +79,43 @@ def panels_of(run):
         ]
     found.append(Panel("extent of material", "m", extents(run.snapshots)))
     found.append(Panel("run time by phase", "s", bars=phases(table_in(run.record, "report"))))
-    return [panel for panel in found if panel.lines or panel.bars]
+    found += [*series_panels(run.probes, run.gauges), *map_panels(run.maps)]
+    return [panel for panel in found if panel.lines or panel.bars or panel.image]
+
+
+def series_panels(probes, gauges):
+    """Panels of the probes and gauges over time, one for each quantity, with a line for each of them."""
+
+    def lines(of, column):
+        return tuple((name, told["time"], told[column]) for name, told in of.items() if column in told)
+
+    speeds = {
+        name: told | {"speed": np.sqrt(sum(told[key] ** 2 for key in told if key.startswith("velocity_")))}
+        for name, told in probes.items()
+        if "time" in told
+    }
+    return [
+        Panel("speed at probes", "m/s", lines(speeds, "speed"), from_zero=True),
+        Panel("pressure at probes", "Pa", lines(speeds, "pressure")),
+        Panel("height of the surface at gauges", "m", lines(gauges, "height")),
+        Panel("discharge at gauges", "m3/s", lines(gauges, "discharge")),
+    ]
+
+
+def map_panels(maps):
+    """Panels of the maps of a run: images over a plane, or lines along an axis."""
+    axes = [axis for axis in "xyz" if axis in maps]
+    found = []
+    for name, title, unit in MAPS:
+        if name not in maps or not 1 <= len(axes) <= 2 or maps[name].shape != tuple(len(maps[axis]) for axis in axes):
+            continue
+        if len(axes) == 1:
+            line = ("", maps[axes[0]], maps[name])
+            found.append(Panel(title, unit, (line,), from_zero=True, along=f"{axes[0]} (m)"))
+        else:
+            ends = [end for axis in axes for end in (0.0, maps[axis][0] + maps[axis][-1])]
+            found.append(Panel(title, unit, image=(maps[name], axes, ends)))
+    return found
 
 
 def phases(report):
@@ -141,15 +185,31 @@ def draw(axes, panel):
         spread = np.array([np.subtract(mean, least), np.subtract(most, mean)]).clip(0.0)
         axes.barh(names, mean, xerr=spread, color="#7fa7c9", error_kw={"lw": 1.0})
         axes.set_xlabel(f"{panel.unit}, mean over ranks, from least to most", fontsize=8)
+    elif panel.image:
+        draw_image(axes, panel)
     else:
         for number, (label, x, y) in enumerate(panel.lines):
             axes.plot(x, y, lw=1.2, color=f"C{number}", label=label or None)
         if panel.from_zero:
-            axes.set_ylim(0.0, max(1.05 * max(np.nanmax(y) for _, _, y in panel.lines), TINY))
-        axes.set_xlabel("time (s)", fontsize=8)
+            axes.set_ylim(0.0, max(1.05 * max(np.nanmax(y, initial=0.0) for _, _, y in panel.lines), TINY))
+        axes.set_xlabel(panel.along, fontsize=8)
         axes.set_ylabel(panel.unit, fontsize=8)
         if len(panel.lines) > 1:
             axes.legend(fontsize=7, frameon=False)
     axes.tick_params(labelsize=7)
     axes.yaxis.get_offset_text().set_fontsize(7)
     plain(axes)
+    if panel.image:
+        axes.grid(False)
+
+
+def draw_image(axes, panel):
+    """Draw a map seen from above; what nothing has reached stays white."""
+    values, names, ends = panel.image
+    shown = np.ma.masked_less_equal(values, 0.0)
+    picture = axes.imshow(shown.T, origin="lower", extent=ends, cmap="viridis", vmin=0.0, interpolation="nearest")
+    axes.set_xlabel(f"{names[0]} (m)", fontsize=8)
+    axes.set_ylabel(f"{names[1]} (m)", fontsize=8)
+    colours = axes.figure.colorbar(picture, ax=axes, shrink=0.8)
+    colours.set_label(panel.unit, fontsize=8)
+    colours.ax.tick_params(labelsize=7)

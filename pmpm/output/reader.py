@@ -7,6 +7,7 @@ import contextlib
 import csv
 import math
 import tomllib
+import zipfile
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -20,12 +21,16 @@ from pmpm.output.run_directory import (
     CHECKPOINTS,
     DIAGNOSTICS,
     FAILED,
+    MAPS,
     RECORD,
     SCENE,
+    SERIES,
     read_record,
     read_status,
+    series_files,
     snapshot_files,
 )
+from pmpm.state.fields import OUTPUT_VECTORS
 
 WHOLE_NUMBERS = ("step", "particles")
 ATTRIBUTES = {"time": float, "step": int, "dt": float, "title": str, "dim": int, "precision": str, "materials": list}
@@ -106,6 +111,33 @@ class Run:
         """{name: array over the lines of diagnostics.csv}; empty if there are none yet."""
         return read_diagnostics(self.path / DIAGNOSTICS)
 
+    @property
+    def probes(self):
+        """{name: {column: array}} of the probes, as far as they are written."""
+        return self.series("probes")
+
+    @property
+    def gauges(self):
+        """{name: {column: array}} of the gauges, as far as they are written."""
+        return self.series("gauges")
+
+    def series(self, kind):
+        found = [path for path in series_files(self.path) if path.parent.name == kind]
+        return {path.stem: read_diagnostics(path) for path in found}
+
+    @property
+    def maps(self):
+        """{name: array} of maps.npz: maps over the columns (m, m/s), where these are (m), `time` and `step`; empty without it.
+        OutputError where it cannot be read."""
+        path = self.path / MAPS
+        if not path.exists():
+            return {}
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return {name: file[name] for name in file.files}
+        except (*DAMAGES, EOFError, zipfile.BadZipFile) as error:
+            raise OutputError(damage(path, error)) from error
+
 
 class Snapshots(Sequence):
     """Snapshots in order; each is opened only when it is asked for something."""
@@ -178,7 +210,7 @@ class Snapshot:
             held = file["VTKHDF/PointData"]
             if name in held:
                 values = held[name][...]
-                return values[:, : self.attributes["dim"]] if name == "velocity" else values
+                return values[:, : self.attributes["dim"]] if name in OUTPUT_VECTORS else values
             known = ", ".join(sorted(held))
         raise AttributeError(f"snapshot {self.path} holds no {name!r}; it holds x, {known}")
 
@@ -322,6 +354,11 @@ def describe_run(run):
         times = diagnostics.get("time", np.empty(0))
         span = f", t = {times[0]:.6g} to {times[-1]:.6g} s" if len(times) else ""
         lines += [f"diagnostics   {len(times)} lines{span}", "  " + ", ".join(diagnostics)]
+    for kind in SERIES:
+        names = [path.stem for path in series_files(run.path) if path.parent.name == kind]
+        lines += [f"{kind:<13} {', '.join(names)}"] if names else []
+    if maps := run.maps:
+        lines.append(f"maps          {', '.join(name for name in maps if maps[name].ndim and name not in 'xyz')}")
     return "\n".join(lines)
 
 

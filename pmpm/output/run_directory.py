@@ -5,6 +5,7 @@ DIR/log.txt          every message of the run
 DIR/run.json         versions, hosts, ranks, status, and the report at the end
 DIR/run.lock         host and process of the run that writes here; gone when it has ended
 DIR/snapshots/, DIR/snapshots.xdmf, DIR/checkpoints/, DIR/diagnostics.csv      written by their own files of this room
+DIR/probes/, DIR/gauges/, DIR/maps.npz     where a scene asks for them
 DIR/failed.hdf       the state of a run that went wrong, as a snapshot
 """
 
@@ -36,9 +37,10 @@ FORMAT_VERSION = 1
 SCENE, LOG, RECORD, LOCK = "scene.toml", "log.txt", "run.json", "run.lock"
 FAILED = "failed.hdf"
 INDEX, DIAGNOSTICS, SNAPSHOTS, CHECKPOINTS = "snapshots.xdmf", "diagnostics.csv", "snapshots", "checkpoints"
-OWN_FILES = (SCENE, LOG, INDEX, DIAGNOSTICS, FAILED)
+MAPS, SERIES = "maps.npz", ("probes", "gauges")
+OWN_FILES = (SCENE, LOG, INDEX, DIAGNOSTICS, FAILED, MAPS)
 OWN_FOLDERS = (SNAPSHOTS, CHECKPOINTS)
-DIAGNOSTICS_HEAD = b"step,time,dt,"  # with which a file of diagnostics begins
+DIAGNOSTICS_HEAD = b"step,time,dt,"  # with which a file of diagnostics, of a probe or a gauge begins
 NUMBERED = re.compile(r"\d{6,}\.hdf")
 OWN_NAMES = re.compile(r"\d{6,}\.(hdf|json)|\.\d{6,}\.(hdf|json)\.unfinished")
 ENDED = ("Z", "X")  # states of processes that only stand in the table
@@ -119,6 +121,8 @@ class RunDirectory:
                     if int(snapshot.stem) >= outputs.get("snapshots", 0):
                         snapshot.unlink()
                 lost = keep_lines(place / DIAGNOSTICS, outputs.get("diagnostics", 0))
+                for series in series_files(place):
+                    keep_lines(series, outputs.get(f"{series.parent.name}/{series.stem}", 0))
                 (place / FAILED).unlink(missing_ok=True)
                 write_atomically(place / SCENE, scene_toml)
                 write_atomically(place / RECORD, to_json(record | {"restarts": earlier}))
@@ -231,6 +235,21 @@ def remove_run(place):
                 entry.unlink()
         if not folder.is_symlink() and not any(folder.iterdir()):
             folder.rmdir()
+    for path in series_files(place):
+        path.unlink()
+        if not path.parent.is_symlink() and not any(path.parent.iterdir()):
+            path.parent.rmdir()
+
+
+def series_files(place):
+    """Paths of the files of probes and gauges of the run in `place`, by name."""
+    found = [path for kind in SERIES for path in sorted((Path(place) / kind).glob("*.csv"))]
+    return [path for path in found if path.is_file() and begins_as_diagnostics(path)]
+
+
+def begins_as_diagnostics(path):
+    with open(path, "rb") as file:
+        return file.read(len(DIAGNOSTICS_HEAD)) == DIAGNOSTICS_HEAD
 
 
 def remove_checkpoints(place, numbers=None):

@@ -17,7 +17,7 @@ from pmpm.output.files import OutputError, explain, on_every_rank, on_rank_zero,
 from pmpm.output.layout import snapshot_attributes, three_columns, topology
 from pmpm.output.reader import reading
 from pmpm.output.run_directory import FAILED, INDEX, SNAPSHOTS, snapshot_files
-from pmpm.state.fields import OUTPUT_NAMES
+from pmpm.state.fields import OUTPUT_NAMES, OUTPUT_VECTORS
 
 
 class SnapshotWriter:
@@ -108,7 +108,7 @@ def collect(simulation, scene, names):
     pieces = {"VTKHDF/Points": fields["x"].through(lambda x: three_columns(x).astype(real))}
     for name in ["id", *names]:
         rows = fields[name]
-        pieces[f"VTKHDF/PointData/{name}"] = rows.through(three_columns) if name == "velocity" else rows
+        pieces[f"VTKHDF/PointData/{name}"] = rows.through(three_columns) if name in OUTPUT_VECTORS else rows
     for path, rows in pieces.items():
         if len(rows) != simulation.rows():
             raise OutputError(f"{path} has {len(rows)} rows for {simulation.rows()} particles")

@@ -138,6 +138,11 @@ def reads(function: FunctionType, argument: str) -> bool:
     )
 
 
+def reads_reference(function: Any) -> bool:
+    """Say whether a body force, or None, asks for the reference position of a particle."""
+    return isinstance(function, FunctionType) and reads(function, "X")
+
+
 def wrong_body_force(function: Any, dim: int, size: tuple[float, ...]) -> Iterator[Problem]:
     """Yield what a body force gets wrong in the middle of the domain, for one particle and for many."""
     try:

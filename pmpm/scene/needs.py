@@ -45,7 +45,7 @@ def scene_needs(scene):
         collider_types=tuple(sorted({collider.surface.type for collider in scene.colliders})),
         f_bar=method.f_bar,
         body_force=force,
-        uses_reference=scene.exact is not None or (force is not None and forcing.reads(force, "X")),
+        uses_reference=scene.exact is not None or forcing.reads_reference(force),
         loaded=bool(scene.loads),
         open_axes=tuple(opened) if (opened := open_faces(scene).any(axis=1)).any() else (),
     )

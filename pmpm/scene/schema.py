@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, field_serializer, model_serializer,
 
 from pmpm.kernels.needs import STENCILS, TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
-from pmpm.scene import files, forcing, geostatic, outside, start
+from pmpm.scene import files, forcing, geostatic, outside, start, watched
 from pmpm.scene.colliders import Collider, named, wrong_names
 from pmpm.scene.exact import Exact, wrong_exact
 from pmpm.scene.functions import Unfit
@@ -46,6 +46,7 @@ DEPTHS = 16  # at which a stress is tried
 FLIP_BLEND = 0.99
 ENERGY_GAIN = 0.3
 SNAPSHOTS, DIAGNOSTICS = 50, 200
+WATCHED = ("probes", "gauges", "maps")  # of the output, absent where there are none
 WALL_INTERVAL = 1800.0
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
 ROUNDING = 1e-9
@@ -317,6 +318,20 @@ class Output(Part):
     checkpoint_keep: Annotated[int, whole(1, 1_000_000)] = Field(
         default=2, description="how many checkpoints are kept; older ones are deleted"
     )
+    probes: Annotated[tuple[watched.Probe, ...], tables("probe", least=0)] = Field(
+        default=(), description="one table [[output.probes]] for each point at which material is watched"
+    )
+    gauges: Annotated[tuple[watched.Gauge, ...], tables("gauge", least=0)] = Field(
+        default=(), description="one table [[output.gauges]] for each line or section at which material is watched"
+    )
+    maps: Annotated[tuple[str, ...], names()] = Field(
+        default=(), description=f"maps over the whole run: of {', '.join(watched.MAPS)}"
+    )
+
+    @model_serializer(mode="wrap")
+    def without_what_is_not_asked_for(self, dump: Any) -> Any:
+        """As it stands in a file: a run that nobody watches so has the scene file that it always had."""
+        return {key: value for key, value in dump(self).items() if key not in WATCHED or value}
 
 
 class Guard(Part):
@@ -482,6 +497,7 @@ class Scene(Part):
         if not self.sources:
             problems.append(Problem(("bodies",), "must have at least one body", list(self.bodies)))
         problems += self.wrong_fields()
+        problems += watched.wrong_watched(self.output, self.domain)
         axis, axes = self.parallel.slab_axis, AXES[: self.dim]
         if axis is not None and axis not in axes:
             text = f"must be one of {', '.join(axes)} in a {self.dim}-D scene"
@@ -635,6 +651,25 @@ class Scene(Part):
             if name not in known:
                 near = known_text(name, known, "fields of this scene")
                 yield Problem(("output", "fields", index), f"is not a known field; {near}", name)
+            elif (reason := self.field_kept_by_nobody(name)) is not None:
+                yield Problem(("output", "fields", index), reason, name)
+
+    def field_kept_by_nobody(self, name: str) -> str | None:
+        """Return why no particle of this scene has such a field, None if there are some that have."""
+        if name == "displacement" and self.exact is None and not forcing.reads_reference(self.body_force):
+            return (
+                "is known only where particles carry their reference position, for a body_force that reads X or an exact "
+                "solution; the first snapshot says by id where each one began"
+            )
+        if name == "plastic_strain":
+            laws = [(law_of(m.model), m.parameters) for m in self.materials.values()]
+            kept = [getattr(law, "PLASTIC_STRAIN", None) in [f.name for f in law.state_fields(p)] for law, p in laws]
+            if not any(kept):
+                return (
+                    "is kept by no law of this scene: von_mises keeps it with hardening_modulus > 0, mohr_coulomb with "
+                    "softening_strain"
+                )
+        return None
 
 
 def settle(part: Part, **values: Any) -> None:

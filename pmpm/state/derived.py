@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from pmpm.kernels import targets
-from pmpm.physics import invariants, stability
+from pmpm.physics import hencky, invariants, stability
 
 MASS, VOLUME0, DENSITY, PARAMETERS = 0, 1, 2, 3  # columns of a law's table, one row per body
+ELASTIC_STRAINS = ("hencky_strain", "elastic_strain")  # under which laws keep 1/2 ln b
 
 
 class DerivedFields:
@@ -96,6 +97,53 @@ class DerivedFields:
     def von_mises_stress(self):
         with np.errstate(all="ignore"):
             return self.target.compile(invariants.von_mises)(*self.stress().T)
+
+    def strain(self):
+        """(n, 6) elastic logarithmic strain 1/2 ln b, entries as of `stress`: of F (whole in a law without plastic flow) or as
+        the law keeps it; nan where it keeps neither, or det F <= 0."""
+        rows, dim = len(self.population), self.geometry.dim
+        kept = next((name for name in ELASTIC_STRAINS if self.layout.where(name) is not None), None)
+        if kept is not None:
+            E = self.field(kept).astype(self.real).T
+        elif self.layout.where("F") is not None:
+            F = tuple(np.ascontiguousarray(column) for column in self.field("F").astype(self.real).T)
+            with np.errstate(all="ignore"):
+                E = self.target.compile(hencky.strain_of)(F)
+        else:
+            return np.full((rows, 6), np.nan, self.real)
+        zero = np.zeros(rows, self.real)
+        if dim == 2:
+            entries = (E[0], E[2], E[3] if len(E) == 4 else zero, E[1], zero, zero)
+        else:
+            entries = (E[0], E[3], E[5], E[1], E[4], E[2])
+        return np.stack(np.broadcast_arrays(*entries), axis=-1)
+
+    def von_mises_strain(self):
+        """(n,) sqrt(2/3 dev E : dev E): a bar's own strain where it is stretched without a change of volume."""
+        with np.errstate(all="ignore"):
+            return self.target.compile(invariants.von_mises)(*self.strain().T) * self.real(2.0 / 3.0)
+
+    def plastic_strain(self):
+        """(n,) accumulated equivalent plastic strain; nan where the law keeps none."""
+        kept = getattr(self.law.module, "PLASTIC_STRAIN", None)
+        values = None if kept is None else self.field(kept)
+        return np.full(len(self.population), np.nan, self.real) if values is None else values[:, 0]
+
+    def displacement(self):
+        """(n, dim) m from the reference position, the short way round where the domain repeats; nan where none is kept."""
+        X, geometry = self.field("X"), self.geometry
+        if X is None:
+            return np.full((len(self.population), geometry.dim), np.nan, self.real)
+        moved = self.x() - X.astype(np.float64)
+        for axis in range(geometry.dim):
+            if geometry.periodic[axis]:
+                length = geometry.cells[axis] * geometry.cell_size
+                moved[:, axis] -= length * np.rint(moved[:, axis] / length)
+        return moved.astype(self.real)
+
+    def volume(self):
+        """(n,) m3, in 2-D per metre of thickness."""
+        return self.volume0() * self.J()
 
     def deformation_gradient(self):
         """(n, 9) F row by row, plane strain completed by F_zz = 1; nan where the law keeps none."""

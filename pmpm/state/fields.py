@@ -66,12 +66,20 @@ OUTPUT = (
     Field("pressure", "scalar", "Pa", "minus the mean Cauchy stress: positive in compression"),
     Field("stress", "symmetric", "Pa", "Cauchy stress"),
     Field("von_mises_stress", "scalar", "Pa", "sqrt(3/2) times the norm of the deviator of the Cauchy stress"),
+    Field(
+        "strain", "symmetric", "-", "elastic logarithmic (Hencky) strain 1/2 ln b, where the law keeps F or a strain"
+    ),
+    Field("von_mises_strain", "scalar", "-", "sqrt(2/3) times the norm of the deviator of that strain"),
+    Field("plastic_strain", "scalar", "-", "accumulated equivalent plastic strain, where the law keeps one"),
+    Field("displacement", "vector", "m", "from the reference position, where particles carry one"),
+    Field("volume", "scalar", "m3", "current volume; in 2-D of a metre of thickness"),
     Field("deformation_gradient", "tensor", "-", "F, where the law keeps one"),
     Field("J", "scalar", "-", "volume ratio"),
     Field("density", "scalar", "kg/m3", "current density"),
     Field("material", "scalar", "-", "number of the material in the scene"),
 )
 OUTPUT_NAMES = tuple(field.name for field in OUTPUT)
+OUTPUT_VECTORS = tuple(field.name for field in OUTPUT if field.kind == "vector")
 
 
 def diagonal(dim):

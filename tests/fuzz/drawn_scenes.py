@@ -27,12 +27,14 @@ from pmpm.scene.materials import material as make_material
 from pmpm.scene.outside import checksum
 from pmpm.scene.schema import Scene
 from pmpm.scene.shapes import SHAPES
+from pmpm.scene.watched import MAPS
 from pmpm.state.fields import OUTPUT_NAMES
 
 ROWS = [row for row in agreement.PAIRS + agreement.SINGLE if row["material"] != "breaking"]  # a file holds no functions
 OWN_KERNELS = [next(row for row in ROWS if row["dim"] == dim) for dim in (2, 3)]
 ELASTIC = ("neo_hookean", "hencky", "fixed_corotated")
 CELL_SIZES = (0.05, 1e-3, 20.0)
+NOT_IN_EVERY_SCENE = ("displacement", "plastic_strain")
 # Functions, which only Python gives.
 NEVER_IN_A_FILE = (
     {("Scene", key) for key in ("body_force", "exact")}
@@ -96,7 +98,7 @@ def scenes(draw, row=None, telling=0):
         "time": draw(time(h)),
         "materials": materials,
         "bodies": bodies,
-        "output": draw(output(materials, h)),
+        "output": draw(output(materials, h, cells, periodic, gravity)),
     }
     if own_kernels:
         table["loads"] = draw(st.lists(load(bodies, dim), min_size=1, max_size=2))
@@ -295,14 +297,14 @@ def collider(draw, cells, h, number):
     up = [0.0] * (dim - 1) + [1.0]
     low = [x - 0.8 for x in center]
     ground = {"first_row": "south", "spacing": [4.0 * h] * draw(st.integers(1, 2)), "variable": "z"}
-    ground |= {"origin": [0.0] * (dim - 1) + [0.1 * h], "checksum": MAP_CHECKSUMS[dim]}
+    ground |= {"origin": [0.0] * (dim - 1) + [0.1 * h], "checksum": GROUND_CHECKSUMS[dim]}
     shapes = [
         {"type": "sphere", "center": center, "radius": 1.0},
         {"type": "capsule", "start": center, "end": [x + 0.5 for x in center], "radius": 0.7},
         {"type": "box", "min": low, "max": [x + 0.8 for x in center]},
         {"type": "plane", "point": [0.3] * dim, "normal": up},
-        {"type": "terrain", "file": MAPS[dim]} | ground,
-        {"type": "terrain", "file": MAPS[dim]} | ground | {"depth": 0.5 * h, "least_depth": 0.0},
+        {"type": "terrain", "file": GROUNDS[dim]} | ground,
+        {"type": "terrain", "file": GROUNDS[dim]} | ground | {"depth": 0.5 * h, "least_depth": 0.0},
     ]  # fmt: skip
     slow, kind = vectors(-0.05, 0.05, dim), draw(st.sampled_from(("velocity", "path", "rests")))
     times = sorted(draw(st.sets(st.integers(0, 10), min_size=1, max_size=3)))
@@ -330,7 +332,7 @@ def write_maps():
     return paths, {dim: checksum(path) for dim, path in paths.items()}
 
 
-MAPS, MAP_CHECKSUMS = write_maps()
+GROUNDS, GROUND_CHECKSUMS = write_maps()
 
 
 @st.composite
@@ -352,13 +354,26 @@ def inflow(draw, names, cells, h):
 
 
 @st.composite
-def output(draw, materials, h):
+def output(draw, materials, h, cells, periodic, gravity):
     made = [make_material(table) for table in materials.values()]
     states = {field.name for m in made for field in law_of(m.model).state_fields(m.parameters)} - set(OUTPUT_NAMES)
+    common = [name for name in OUTPUT_NAMES if name not in NOT_IN_EVERY_SCENE]
+    falls = gravity is not None and any(gravity)
+    walled = [axis for axis in "xyz"[: len(cells)] if axis not in periodic]
+    place = st.tuples(*(between(0.0, count * h) for count in cells)).map(list)
+    probe = st.fixed_dictionaries({"name": st.sampled_from(("a", "B-2", "0_")), "position": place})
+    section = {"type": st.just("section"), "axis": st.sampled_from("xyz"[: len(cells)])}
+    line = {"type": maybe(st.just("surface")), "axis": st.sampled_from(walled)}
+    gauge = probe.flatmap(
+        lambda told: (st.fixed_dictionaries(section) | st.fixed_dictionaries(line)).map(lambda more: told | more)
+    )
     return {
+        "probes": draw(maybe(st.lists(probe, max_size=2, unique_by=lambda told: told["name"]))),
+        "gauges": draw(maybe(st.lists(gauge, max_size=2, unique_by=lambda told: told["name"]))),
+        "maps": draw(maybe(st.lists(st.sampled_from(MAPS), unique=True))) if falls else None,
         "snapshot_interval": draw(maybe(st.sampled_from((h * 1e-3, h, 1e9)))),
         "diagnostics_interval": draw(maybe(st.sampled_from((h * 1e-3, h, 1e9)))),
-        "fields": draw(maybe(st.lists(st.sampled_from((*OUTPUT_NAMES, *sorted(states))), unique=True, max_size=4))),
+        "fields": draw(maybe(st.lists(st.sampled_from((*common, *sorted(states))), unique=True, max_size=4))),
         "checkpoint_interval": draw(maybe(st.sampled_from((h * 1e-2, h)))),
         "checkpoint_wall_interval": draw(maybe(st.sampled_from((0, 60)))),
         "checkpoint_keep": draw(maybe(st.integers(1, 3))),

@@ -600,6 +600,72 @@ BROKEN = [
         change(SNAPSHOT, "checkpoint_keep = 0"),
         ["output.checkpoint_keep = 0 must be a whole number from 1 to 1000000"],
     ),
+    (
+        "displacement of particles that carry no reference",
+        change(SNAPSHOT, 'fields = ["displacement"]'),
+        ['output.fields[0] = "displacement" is known only where particles carry their reference position'],
+    ),
+    (
+        "plastic strain that no law keeps",
+        change(SNAPSHOT, 'fields = ["plastic_strain"]'),
+        ['output.fields[0] = "plastic_strain" is kept by no law of this scene: von_mises'],
+    ),
+    (
+        "probe outside",
+        GOOD + '[[output.probes]]\nname = "a"\nposition = [0.7, 0.1]\n',
+        ["output.probes[0].position[0] = 0.7 m must lie in the domain, from 0 to 0.6 m along x"],
+    ),
+    (
+        "probe in space",
+        GOOD + '[[output.probes]]\nname = "a"\nposition = [0.1, 0.1, 0.1]\n',
+        ["output.probes[0].position = [0.1, 0.1, 0.1] must have 2 numbers"],
+    ),
+    (
+        "probe without a place",
+        GOOD + '[[output.probes]]\nname = "a"\n',
+        ["output.probes[0].position is missing: where it is (m)"],
+    ),
+    (
+        "probe named as a path",
+        GOOD + '[[output.probes]]\nname = "../a"\nposition = [0.1, 0.1]\n',
+        ['output.probes[0].name = "../a" must be a name of 1 to 64 letters'],
+    ),
+    (
+        "two probes of one name",
+        GOOD + '[[output.probes]]\nname = "a"\nposition = [0.1, 0.1]\n' * 2,
+        ['output.probes[1].name = "a" is the name of probes[0] already'],
+    ),
+    (
+        "unknown gauge",
+        GOOD + '[[output.gauges]]\nname = "a"\ntype = "plane"\nposition = [0.1, 0.1]\n',
+        ['output.gauges[0].type = "plane" is not known', "surface, section"],
+    ),
+    (
+        "section without axis",
+        GOOD + '[[output.gauges]]\nname = "a"\ntype = "section"\nposition = [0.1, 0.1]\n',
+        ["output.gauges[0].axis is missing: the axis to which the section is normal"],
+    ),
+    (
+        "section across an axis that is not there",
+        GOOD + '[[output.gauges]]\nname = "a"\ntype = "section"\naxis = "z"\nposition = [0.1, 0.1]\n',
+        ['output.gauges[0].axis = "z" must be one of x, y in a 2-D scene'],
+    ),
+    (
+        "gauge without gravity",
+        change(GRAVITY, "", change('pressure = "hydrostatic"', ""))
+        + '[[output.gauges]]\nname = "a"\nposition = [0.1, 0.1]\n',
+        ["output.gauges[0].axis is missing: without gravity"],
+    ),
+    (
+        "unknown map",
+        change(SNAPSHOT, 'maps = ["depth"]'),
+        ['output.maps[0] = "depth" is not a known map', "max_depth?"],
+    ),
+    (
+        "map without gravity",
+        change(GRAVITY, "", change('pressure = "hydrostatic"', "", change(SNAPSHOT, 'maps = ["deposit"]'))),
+        ['output.maps[0] = "deposit" needs gravity'],
+    ),
     ("copy as word", GOOD + '[guard]\nkeep_copy = "yes"\n', ["guard.keep_copy", "true or false"]),
     ("no steps between copies", GOOD + "[guard]\ninterval = 0\n", ["guard.interval = 0 must be a whole number"]),
     (

@@ -1,6 +1,6 @@
 """Material leaves through open faces and comes in through inflows: nothing is lost, nothing is counted twice.
 
-tests/mpi/test_flow_mpi.py compares ranks; the chute and the jet that come with pmpm meet theory in tests/physics/test_inflow.py.
+test_flow_mpi.py compares ranks; the chute and the jet that come with pmpm meet theory in tests/physics/test_inflow.py.
 """
 
 from unittest import mock

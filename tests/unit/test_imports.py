@@ -7,7 +7,8 @@ import sys
 import pytest
 
 HEAVY = ("numba", "mpi4py", "h5py", "meshio", "matplotlib", "pydantic", "numpy")
-ALONE_ABSENT = ("mpi4py", "numba.cuda", "meshio", "matplotlib", "vtk", "tqdm")
+WATCHERS = ("pmpm.sampling", "pmpm.series", "pmpm.maps")  # of scenes with probes, gauges and maps
+ALONE_ABSENT = ("mpi4py", "numba.cuda", "meshio", "matplotlib", "vtk", "pyvista", "tqdm", *WATCHERS)
 
 
 def modules_after(code, folder):

@@ -8,6 +8,7 @@
 - `kirchhoff_stress(state, params)`, `advance(state, G, dt, params)`, `valid(state)`, `energy(state, params)`,
   `wave_speed_squared(state, params, density)`, `volume_ratio(state)`, `out_of_plane_stress(state, params)`: the physics of one
   particle;
+- PLASTIC_STRAIN, in laws with one: the name of the state that is the accumulated equivalent plastic strain;
 - with the choice VISCOUS, `viscous_stress(state, L, params)` and `kinematic_viscosity(state, params, density)` besides.
 
 `state` is the flat tuple of STATE's numbers; G = dt grad v and L = grad v, row by row; stresses are in Pa, energies in J/m3

@@ -48,6 +48,7 @@ STATE = (
     StateField("e_p", "scalar", "-", "accumulated plastic strain, sqrt(2/3) |dev| of each increment"),
     StateField("v_p", "scalar", "-", "logarithmic plastic volume"),
 )
+PLASTIC_STRAIN = "e_p"
 SOFTENING = False
 DILATANCY = False
 # sin x = x (1 - x^2/3! + ...), the highest power of x^2 first: to round-off up to a right angle.

@@ -24,6 +24,7 @@ STATE = (
     StateField("elastic_strain", "solid", "-", "elastic logarithmic strain, 1/2 ln b"),
     StateField("alpha", "scalar", "-", "accumulated plastic strain"),
 )
+PLASTIC_STRAIN = "alpha"
 HARDENING = False
 ROOT_TWO_THIRDS = 0.816496580927726
 conflicts = no_conflicts
