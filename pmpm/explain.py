@@ -10,6 +10,7 @@ from pmpm.parallel.slabs import room
 from pmpm.physics.materials import LAWS, python_law
 from pmpm.populate import rehearse
 from pmpm.scene.errors import SceneError
+from pmpm.scene.shapes import shapes_in
 from pmpm.state.fields import OPTIONAL
 
 ELASTIC_STATE = {"F", "J", "hencky_strain", "elastic_strain"}
@@ -30,6 +31,7 @@ def explain(scene, ranks, backend="cpu"):
         f"of {scene.domain.cell_size:g} m, slabs across {'xyz'[geometry.axes[0]]}",
         f"particles     {count_text(total)} in {len(scene.bodies)} bodies, {count_text(total // ranks)} per rank on "
         f"{ranks} ranks",
+        *mesh_lines(scene),
         *memory_lines(taken, ranks),
         f"time step     {dt:.3g} s at the start{' (fixed)' if scene.time.step else f', cfl {scene.time.cfl:g}'}",
         f"cost          about {math.ceil(scene.time.end / dt)} steps, {math.ceil(scene.time.end / dt) * total:.3g} "
@@ -71,6 +73,12 @@ def first_look(scene):
 def count_text(number):
     """A number of particles: whole if they were counted, rounded if they were estimated."""
     return f"about {number:.3g}" if isinstance(number, float) else str(number)
+
+
+def mesh_lines(scene):
+    """What is known of each shape that comes out of a file."""
+    told = [(key, shape) for key, shape in shapes_in(scene) if hasattr(shape, "told")]
+    return [f"{'files' if n == 0 else '':14s}{key}: {shape.told()}" for n, (key, shape) in enumerate(told)]
 
 
 def memory_lines(taken, ranks):

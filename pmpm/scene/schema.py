@@ -505,9 +505,12 @@ class Scene(Part):
         size = np.array(self.domain.size)
         low, high = body.shape.bounds()
         beyond = (low < -ROUNDING * size) | (high > (1.0 + ROUNDING) * size)
+        advice = body.shape.advice(self.domain.size) if beyond.any() and hasattr(body.shape, "advice") else ""
         for axis in np.flatnonzero(beyond):
             reach = f"from {low[axis]:.10g} to {high[axis]:.10g} m along {AXES[axis]}"
-            yield Problem(path, f"reaches out of the domain: {reach}, the domain from 0 to {size[axis]:.10g} m")
+            text = f"reaches out of the domain: {reach}, the domain from 0 to {size[axis]:.10g} m{advice}"
+            yield Problem(path, text)
+            advice = ""
 
     def wrong_pressure(self, body: Body, here: tuple[str | int, ...]) -> Iterator[Problem]:
         """Yield what keeps a weight from being the stress that a body starts with."""

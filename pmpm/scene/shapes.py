@@ -1,16 +1,18 @@
 """Shapes that bodies are cut from: which points they hold, where they end. Dimension enters only at validation."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from pmpm.scene.messages import TAG, Problem, Problems, known_text
+from pmpm.scene.mesh import Mesh
+from pmpm.scene.messages import TAG, Problem, Problems, known_text, path_text
 from pmpm.scene.part import Part
 from pmpm.scene.values import check_vector, check_word, number, tables, vector
 
 AXES = ("x", "y", "z")
-PLANNED_SHAPES = ("mesh", "terrain", "particles")
+PLANNED_SHAPES = ("terrain", "particles")
 
 Bounds = tuple[np.ndarray, np.ndarray]
 
@@ -185,7 +187,7 @@ class Intersection(Part):
         return [] if np.all(low < high) else [Problem(("of",), "is empty: these shapes do not all overlap")]
 
 
-SHAPES = {"box": Box, "sphere": Sphere, "cylinder": Cylinder}
+SHAPES = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "mesh": Mesh}
 SHAPES |= {"union": Union, "difference": Difference, "intersection": Intersection}
 
 
@@ -209,6 +211,7 @@ Shape = Annotated[
     Annotated[Box, Tag(TAG + "box")]
     | Annotated[Sphere, Tag(TAG + "sphere")]
     | Annotated[Cylinder, Tag(TAG + "cylinder")]
+    | Annotated[Mesh, Tag(TAG + "mesh")]
     | Annotated[Union, Tag(TAG + "union")]
     | Annotated[Difference, Tag(TAG + "difference")]
     | Annotated[Intersection, Tag(TAG + "intersection")],
@@ -225,6 +228,22 @@ def wrong_length(key: str, value: tuple[float, ...], dim: int) -> list[Problem]:
     if len(value) == dim:
         return []
     return [Problem((key,), f"must have {dim} numbers like domain.size", list(value))]
+
+
+def leaves_of(shape: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """Yield (path, shape) of the shapes without shapes within that a shape is made of."""
+    if not hasattr(shape, "of"):
+        yield path, shape
+        return
+    for index, part in enumerate(shape.of):
+        yield from leaves_of(part, (*path, "of", index))
+
+
+def shapes_in(scene: Any) -> Iterator[tuple[str, Any]]:
+    """Yield (dotted key, shape) of all shapes of a scene that have none within."""
+    for key in ("bodies", "loads", "motions"):
+        for index, part in enumerate(getattr(scene, key)):
+            yield from ((path_text((key, index, "shape", *path)), shape) for path, shape in leaves_of(part.shape))
 
 
 def misfits_of(shapes: tuple[Any, ...], dim: int) -> list[Problem]:

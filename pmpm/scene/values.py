@@ -24,6 +24,17 @@ def vector(unit: str = "-", **bounds: float | None) -> BeforeValidator:
     return BeforeValidator(check_vector(unit, **bounds))
 
 
+def number_or_vector(unit: str = "-", **bounds: float | None) -> BeforeValidator:
+    """Accept one finite number, or two or three, each within `bounds`."""
+    one, several = check_number(unit, None, **bounds), check_vector(unit, **bounds)
+
+    def check(value: Any) -> Any:
+        value = plain(value)
+        return several(value) if isinstance(value, list | tuple) else one(value)
+
+    return BeforeValidator(check)
+
+
 def check_number(unit: str, only: float | None = None, **bounds: float | None) -> Check:
     allowed = range_text(unit, **bounds)
 

@@ -8,6 +8,7 @@ import copy
 import math
 import typing
 from dataclasses import dataclass
+from pathlib import Path
 
 import fast_and_scalar as agreement
 import tomli_w
@@ -19,11 +20,15 @@ from pmpm.physics.materials import LAWS, law_of
 from pmpm.scene.exact import Exact
 from pmpm.scene.materials import MODELS
 from pmpm.scene.materials import material as make_material
+from pmpm.scene.outside import checksum
 from pmpm.scene.schema import Scene
 from pmpm.scene.shapes import SHAPES
 from pmpm.state.fields import OUTPUT_NAMES
 
 ROWS = [row for row in agreement.PAIRS + agreement.SINGLE if row["material"] != "breaking"]  # a file holds no functions
+MESHES = {
+    dim: Path(__file__).with_name(name) for dim, name in ((2, "square.obj"), (3, "cube.obj"))
+}  # 2 wide, one group
 OWN_KERNELS = [next(row for row in ROWS if row["dim"] == dim) for dim in (2, 3)]
 ELASTIC = ("neo_hookean", "hencky", "fixed_corotated")
 CELL_SIZES = (0.05, 1e-3, 20.0)
@@ -203,6 +208,7 @@ def shape(draw, cells, long, half, dim):
         "union": {"type": "union", "of": [ball, box]},
         "intersection": {"type": "intersection", "of": [box, ball]},
         "difference": {"type": "difference", "of": [box, {"type": "sphere", "center": box["max"], "radius": 0.7}]},
+        "mesh": draw(mesh(dim, center)),
     }
     if dim == 3:
         axis = draw(st.sampled_from(("x", "y", "z")) | st.just([1.0, -2.0, 0.5]))
@@ -211,9 +217,24 @@ def shape(draw, cells, long, half, dim):
     return kinds[draw(st.sampled_from(sorted(kinds)))]
 
 
+@st.composite
+def mesh(draw, dim, center):
+    """A cube or square out of a file, turned as it likes; it is 2 wide there, and its middle at the origin."""
+    path = str(MESHES[dim])
+    return {
+        "type": "mesh",
+        "file": path,
+        "checksum": draw(maybe(st.just(checksum(path)))),
+        "group": draw(maybe(st.just("all"))),
+        "scale": draw(between(0.8, 1.5) | vectors(0.8, 1.5, dim)),
+        "rotate": draw(maybe(vectors(-180.0, 180.0, 3) if dim == 3 else between(-180.0, 180.0))),
+        "move": center,
+    }
+
+
 def in_metres(table, h):
     """A shape given in cells, in metres."""
-    lengths = ("min", "max", "center", "radius", "height")
+    lengths = ("min", "max", "center", "radius", "height", "scale", "move")
     return {
         key: scaled(value, h) if key in lengths else [in_metres(s, h) for s in value] if key == "of" else value
         for key, value in table.items()
@@ -366,7 +387,7 @@ WORDS = (
     "__import__('os').system('touch pwned')", "python:velocity:0123456789ab", "python:", "python",
     "{0.__class__}", "%n%s", "quadratic",
     "separate", "friction", "x", "xyz", "stick", "x_min", "sand", "drucker_prager", "fluid", "python_law",
-    "box", "union", "mesh",
+    "box", "union", "mesh", str(MESHES[2]), str(MESHES[3]), __file__,
 )  # fmt: skip
 NUMBERS = (
     0, -1, 1, 2, 0.0, -0.0, 0.5, 1e300, -1e300, 1e-300, 5e-324, -5e-324, 1e-45, 1e39, 1e18, 1e10, -1e10, 2**31,

@@ -1,5 +1,7 @@
 """Scenes with one mistake each and what the message must contain: (name, TOML text, fragments)."""
 
+from pathlib import Path
+
 GOOD = """
 title = "good"
 [domain]
@@ -77,6 +79,11 @@ def snow(keys):
     return solid('model = "neo_hookean"', 'model = "snow"\n' + keys)
 
 
+def mesh(keys):
+    return solid(CYLINDER, f'{{ type = "mesh", {keys} }}')
+
+
+CUBE, SQUARE = (Path(__file__).parents[1] / "fuzz" / name for name in ("cube.obj", "square.obj"))
 BOX = '{ type = "box", min = [0.0, 0.0], max = [0.1, 0.1] }'
 DISK = '{ type = "sphere", center = [0.3, 0.1], radius = 0.05 }'
 CYLINDER = '{ type = "cylinder", center = [0.15, 0.15, 0.05], axis = "z", radius = 0.05, height = 0.05 }'
@@ -439,6 +446,26 @@ BROKEN = [
         ["bodies[0].shape.of is empty"],
     ),
     ("outside", change("[0.3, 0.1]", "[0.3, 0.16]"), ["bodies[1].shape", "0.11 to 0.21 m along y", "0 to 0.2 m"]),
+    ("no mesh file", mesh('file = "nowhere.stl"'), ['shape.file = "nowhere.stl" no such file']),
+    ("mesh without file", mesh("scale = 1.0"), ["bodies[0].shape.file is missing"]),
+    ("no mesh", mesh(f'file = "{__file__}"'), ["shape.file", "cannot be read"]),
+    (
+        "3-D mesh",
+        change(BOX, f'{{ type = "mesh", file = "{CUBE}" }}'),
+        ["shape.file", "is 3-D: a 2-D scene needs polygons"],
+    ),
+    ("flat mesh", mesh(f'file = "{SQUARE}"'), ["shape.file", "is flat: a 3-D scene needs a surface"]),
+    (
+        "large mesh",
+        mesh(f'file = "{CUBE}"'),
+        ["from -1 to 1 m along x", "2 x 2 x 2 m large: scale = 0.05 and move = [0.15, 0.15"],
+    ),
+    ("mesh scale", mesh(f'file = "{CUBE}", scale = -1'), ["shape.scale = -1 must be a number > 0"]),
+    ("mesh of two scales", mesh(f'file = "{CUBE}", scale = [1, 2]'), ["shape.scale = [1.0, 2.0] must have 3 numbers"]),
+    ("mesh turned once", mesh(f'file = "{CUBE}", rotate = 90'), ["shape.rotate = 90.0 must be three angles"]),
+    ("mesh group", mesh(f'file = "{CUBE}", group = "al"'), ["shape.file", "has no group al; did you mean all?"]),
+    ("other mesh", mesh(f'file = "{CUBE}", checksum = "0"'), ["shape.file", "is not the file it was"]),
+    ("endless mesh", mesh(f'file = "{CUBE}", scale = 1e300'), ["shape.file", "reaches 1e+300 m"]),
     ("no particles", change(COUNT, "particles_per_cell = 0"), ["bodies[1].particles_per_cell = 0", "from 1 to 4096"]),
     ("many particles", change(COUNT, "particles_per_cell = 4097"), ["particles_per_cell = 4097", "from 1 to 4096"]),
     ("broken particles", change(COUNT, "particles_per_cell = 4.5"), ["particles_per_cell = 4.5", "whole number"]),
@@ -576,7 +603,7 @@ BROKEN = [
 
 NOT_BUILT = [
     ("open wall", change('x_min = "slip"', 'x_min = "open"'), ['domain.walls.x_min = "open" is not built yet']),
-    ("mesh", change('"box"', '"mesh"'), ['bodies[0].shape.type = "mesh" is not built yet']),
+    ("terrain", change('"box"', '"terrain"'), ['bodies[0].shape.type = "terrain" is not built yet']),
     ("colliders", GOOD + '[[colliders]]\ntype = "plane"\n', ["colliders = ", "is not built yet"]),
 ]
 BROKEN += NOT_BUILT
