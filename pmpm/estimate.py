@@ -13,7 +13,7 @@ from pmpm import timestep
 from pmpm.physics import stability
 from pmpm.scene import start
 from pmpm.scene.errors import SceneError
-from pmpm.scene.seeding import meeting_later_bodies, surroundings
+from pmpm.scene.seeding import meeting_later_bodies, spread_places, surroundings
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
 from pmpm.state.grid import SLACK
@@ -66,13 +66,6 @@ def particles_of(scene, number, samples, around):
     for later in meeting_later_bodies(scene, number, around):
         inside &= ~later.shape.contains(places)
     return float(np.prod((high - low) / dx)) * body.particles_per_cell * np.count_nonzero(inside) / samples
-
-
-def spread_places(count, dim):
-    """(count, dim) places spread evenly over the unit square or cube, always the same: multiples of powers of the root of
-    x^(dim + 1) = x + 1 (M. Roberts 2018, a generalisation of the golden ratio)."""
-    root = 1.32471795724474602596 if dim == 2 else 1.22074408460575947536
-    return np.modf(np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, dim + 1.0))[0]
 
 
 def bytes_per_particle(needs):

@@ -97,6 +97,8 @@ class Beginning:
         if layout.where("load"):
             with np.errstate(over="ignore"):  # an endless load has no time step
                 reals[:, layout.where("load")] = loads_on(simulation.scene, geometry, self.loads[:, number], seeds)
+        if layout.where("share"):
+            reals[:, layout.where("share")] = 1.0 if seeds.share is None else seeds.share[:, None]
         if layout.where("X"):
             reals[:, layout.where("X")] = reference_positions(geometry, seeds)
         return seeded
@@ -104,14 +106,14 @@ class Beginning:
 
 def counted(scene, geometry, first, last):
     """((bodies, layers), (loads, bodies)): how many particles there will be in each of the layers first .. last - 1, zero in
-    others, and how many of them each load acts on."""
+    others, and how many whole ones of them each load acts on."""
     counts = np.zeros((len(scene.bodies), geometry.layers), np.int64)
-    loaded, around = np.zeros((len(scene.loads), len(scene.bodies)), np.int64), seeding.surroundings(scene)
+    loaded, around = np.zeros((len(scene.loads), len(scene.bodies))), seeding.surroundings(scene)
     for number in range(len(scene.bodies)):
         for _, seeds in seeding.seed_planes(scene, geometry, number, first, last, around):
             seeding.add_counts(counts[number], seeds.node[:, geometry.axes[0]])
             for which, load in enumerate(scene.loads):
-                loaded[which, number] += np.count_nonzero(load_acts(load, geometry, seeds))
+                loaded[which, number] += seeds.take(load_acts(load, geometry, seeds)).whole
     return counts, loaded
 
 
@@ -160,8 +162,8 @@ def load_acts(load, geometry, seeds):
 
 
 def load_accelerations(scene, counts):
-    """(loads, bodies, dim) m/s2 of each load on the particles of each body that it acts on, `counts` (loads, bodies) of them.
-    Raises SceneError for a load on nothing."""
+    """(loads, bodies, dim) m/s2 of each load on the particles of each body that it acts on, `counts` (loads, bodies) of
+    whole ones. Raises SceneError for a load on nothing."""
     found = np.zeros((len(scene.loads), len(scene.bodies), scene.dim))
     volumes = np.array([scene.domain.cell_size**scene.dim / body.particles_per_cell for body in scene.bodies])
     densities = np.array([scene.materials[body.material].parameters["density"] for body in scene.bodies])

@@ -136,6 +136,7 @@ class Needs:
     body_force: Callable | None = None  # acceleration(x, X, t) of the scene
     uses_reference: bool = False  # whether it reads X, or errors are measured at X
     loaded: bool = False  # whether particles carry an acceleration of their own
+    shared: bool = False  # whether they carry a volume of their own, as a part of what their body gives
 
     @property
     def scheme(self):
@@ -149,7 +150,7 @@ class Needs:
     def carried(self, law):
         """Names of what particles of a law carry besides position, velocity and state."""
         carries = {"C": self.scheme.affine or law.viscous, "X": self.uses_reference, "load": self.loaded}
-        carries["divergence"] = self.f_bar
+        carries |= {"divergence": self.f_bar, "share": self.shared}
         return tuple(name for name, needed in carries.items() if needed)
 
     @property

@@ -323,6 +323,31 @@ def find_inside(
                 inside[i] = kinds[box] == IN
 
 
+def reached(x, axis, by, start, inv_width, shape):
+    """Number along an axis of the box of the grid that lies `by` from a point."""
+    return min(max(int(math.floor((x[axis] + by - start[axis]) * inv_width)), 0), shape[axis] - 1)
+
+
+def find_near(points, reach, elements, boxes, leaves, depth, start, inv_width, shape, kinds, near):
+    """Set near[i] where the surface comes nearer to points[i] than `reach`."""
+    square = reach * reach
+    low, high = [0] * 3, [0] * 3
+    for i in range(points.shape[0]):
+        x = row(points, i)
+        near[i] = False
+        if square_to_box(boxes, 1, x) < square:
+            for axis in range(DIM):
+                low[axis] = reached(x, axis, -reach, start, inv_width, shape)
+                high[axis] = reached(x, axis, reach, start, inv_width, shape)
+            any_cut = False
+            for a in range(low[0], high[0] + 1):
+                for b in range(low[1], high[1] + 1):
+                    for c in range(low[2], high[2] + 1):
+                        box = a * shape[1] + b if DIM == 2 else (a * shape[1] + b) * shape[2] + c
+                        any_cut |= kinds[box] == CUT
+            near[i] = any_cut and square_to_surface(x, elements, boxes, leaves, depth, square) < square
+
+
 # ---- to be called from Python -----------------------------------------------------------------------------------------------
 
 dot, minus, row, square_at, square_to_box, square_to_element = (
@@ -345,7 +370,7 @@ OF_DIM = (
     *("dot", "minus", "row", "square_at", "square_to_box", "square_to_element", "turn_of_element", "turn_of_node"),
     *("box_of", "middle_of", "plane_of", "reach_of"),
 )
-LOOPS = (find_windings, find_distances, mark_cut, find_inside)
+LOOPS = (find_windings, find_distances, mark_cut, find_inside, find_near)
 
 
 @cache

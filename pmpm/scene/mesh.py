@@ -108,6 +108,10 @@ class Mesh(OutsideFile):
         """Say which of the points (n, dim), m, lie inside: bool (n,)."""
         return self.surface.contains(points)
 
+    def near(self, points: np.ndarray, reach: float) -> np.ndarray:
+        """Say to which of the points (n, dim), m, the surface comes nearer than `reach` (m): bool (n,)."""
+        return self.surface.near(points, reach)
+
     def signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Return the distance (n,) in m of points (n, dim), m, to the surface, negative inside."""
         return self.surface.signed_distance(points)

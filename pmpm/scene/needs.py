@@ -7,7 +7,7 @@ import numpy as np
 
 from pmpm.kernels.loops import FARTHEST, SETTLED
 from pmpm.kernels.needs import Needs, law_needs
-from pmpm.scene import forcing
+from pmpm.scene import forcing, seeding
 from pmpm.scene.errors import SceneError
 from pmpm.state.grid import Geometry
 
@@ -44,6 +44,7 @@ def scene_needs(scene):
         body_force=force,
         uses_reference=scene.exact is not None or (force is not None and forcing.reads(force, "X")),
         loaded=bool(scene.loads),
+        shared=any(seeding.gives_shares(body) for body in scene.bodies),
     )
 
 

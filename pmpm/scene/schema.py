@@ -19,6 +19,7 @@ from pmpm.scene.materials import AnyMaterial, Material
 from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_error, value_text
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import record
+from pmpm.scene.seeding import SEEDINGS, fits_lattice
 from pmpm.scene.shapes import AXES, Shape, wrong_length
 from pmpm.scene.values import CONTROLS, check_word, choice, flag, names, number, tables, text, vector, whole
 from pmpm.state.fields import OUTPUT_NAMES
@@ -248,6 +249,9 @@ class Body(Part):
         default=LATER,
         description="number of particles in a full cell, 4 in 2-D and 8 in 3-D if not given",
     )
+    seeding: Annotated[str, choice(SEEDINGS)] = Field(
+        default=LATER, description="where particles are put: lattice, or jittered where their number fits none"
+    )
     velocity: Annotated[Any, start.vector_field("m/s")] = Field(
         default=LATER, description="at the start, zero if not given; from Python also a function of position (m/s)"
     )
@@ -461,9 +465,9 @@ class Scene(Part):
     def complete_body(self, body: Body) -> Body:
         count = 2**self.dim if body.particles_per_cell is None else body.particles_per_cell
         velocity = (0.0,) * self.dim if body.velocity is None else body.velocity
-        return body.model_copy(
-            update={"particles_per_cell": count, "velocity": velocity, "stress": self.complete_stress(body)}
-        )
+        places = body.seeding or ("lattice" if fits_lattice(count, self.dim) else "jittered")
+        known = {"particles_per_cell": count, "seeding": places, "velocity": velocity}
+        return body.model_copy(update=known | {"stress": self.complete_stress(body)})
 
     def complete_stress(self, body: Body) -> Geostatic | None:
         if body.stress is None:
@@ -493,6 +497,12 @@ class Scene(Part):
             yield Problem((*here, "material"), f"is not a material of this scene; {near}", body.material)
         else:
             yield from self.wrong_pressure(body, here)
+        count = body.particles_per_cell
+        if body.seeding in ("lattice", "quadrature") and count and not fits_lattice(count, self.dim):
+            side = int(count ** (1 / self.dim))
+            nearest = f"{side**self.dim} and {(side + 1) ** self.dim}"
+            text = f"fits no lattice, for seeding = {value_text(body.seeding)}; the nearest that do are {nearest}"
+            yield Problem((*here, "particles_per_cell"), text, count)
         for problem in start.wrong_start(body, self.dim):
             yield Problem((*here, *problem.path), problem.text, problem.value)
         misfits = body.shape.misfits(self.dim)

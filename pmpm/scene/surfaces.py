@@ -96,6 +96,15 @@ class Surface:
         )
         return found
 
+    def near(self, points: np.ndarray, reach: float) -> np.ndarray:
+        """Say to which of the points (n, dim), m, the surface comes nearer than `reach` (m): bool (n,)."""
+        near, tree, grid = np.zeros(len(points), bool), self.tree, self.grid
+        self.kernels["find_near"](
+            rows_of(points), reach, tree.elements, tree.boxes, tree.leaves, tree.depth, grid.start, grid.inv_width, grid.shape,
+            grid.kinds, near,
+        )  # fmt: skip
+        return near
+
     def signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Return the distance (n,) in m of points (n, dim), m, to the surface, negative inside."""
         found, tree = np.zeros(len(points)), self.tree

@@ -81,7 +81,7 @@ def scenes(draw, row=None, telling=0):
     }
     names = list(materials)
     bodies = [
-        draw(body(name, materials[name], cells, long, half, h, gravity))
+        draw(body(name, materials[name], cells, long, half, h, gravity, own_kernels))
         for half, name in enumerate((names * 2)[: draw(st.integers(max(1, min(2, len(names))), 2))])
     ]
     table = {
@@ -242,12 +242,16 @@ def in_metres(table, h):
 
 
 @st.composite
-def body(draw, name, table, cells, long, half, h, gravity):
+def body(draw, name, table, cells, long, half, h, gravity, own_kernels):
     dim, law = len(cells), LAWS[table["model"]]
+    count = draw(maybe(st.sampled_from((3, 4, 5) if dim == 2 else (4, 6, 8))))
+    seedings = ["jittered", "poisson_disk", *(["lattice"] if count in (None, 2**dim) else [])]
+    seedings += ["quadrature"] if own_kernels and count in (None, 2**dim) else []
     made = {
         "material": name,
         "shape": in_metres(draw(shape(cells, long, half, dim)), h),
-        "particles_per_cell": draw(maybe(st.sampled_from((3, 4, 5) if dim == 2 else (4, 6, 8)))),
+        "particles_per_cell": count,
+        "seeding": draw(maybe(st.sampled_from(seedings))),
         "velocity": draw(maybe(vectors(-0.2, 0.2, dim) | st.just([0] * dim))),
         "displacement": draw(maybe(vectors(-0.3 * h, 0.3 * h, dim))),
     }

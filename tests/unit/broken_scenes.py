@@ -466,6 +466,17 @@ BROKEN = [
     ("mesh group", mesh(f'file = "{CUBE}", group = "al"'), ["shape.file", "has no group al; did you mean all?"]),
     ("other mesh", mesh(f'file = "{CUBE}", checksum = "0"'), ["shape.file", "is not the file it was"]),
     ("endless mesh", mesh(f'file = "{CUBE}", scale = 1e300'), ["shape.file", "reaches 1e+300 m"]),
+    ("unknown seeding", change(COUNT, 'seeding = "latice"'), ['bodies[1].seeding = "latice"', "did you mean lattice?"]),
+    (
+        "lattice of five",
+        change(COUNT, 'particles_per_cell = 5\nseeding = "lattice"'),
+        ["bodies[1].particles_per_cell = 5 fits no lattice", "the nearest that do are 4 and 9"],
+    ),
+    (
+        "quadrature of seven",
+        solid("height = 0.05 }", 'height = 0.05 }\nparticles_per_cell = 7\nseeding = "quadrature"'),
+        ["particles_per_cell = 7 fits no lattice", "1 and 8"],
+    ),
     ("no particles", change(COUNT, "particles_per_cell = 0"), ["bodies[1].particles_per_cell = 0", "from 1 to 4096"]),
     ("many particles", change(COUNT, "particles_per_cell = 4097"), ["particles_per_cell = 4097", "from 1 to 4096"]),
     ("broken particles", change(COUNT, "particles_per_cell = 4.5"), ["particles_per_cell = 4.5", "whole number"]),
