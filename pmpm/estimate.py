@@ -57,6 +57,8 @@ def particles(scene):
 
 def particles_of(scene, number, samples, around):
     body, dx = scene.bodies[number], scene.domain.cell_size
+    if body.shape.type == "particles":
+        return float(len(body.shape.x))
     low, high = body.shape.bounds()
     low, high = np.maximum(low, 0.0), np.minimum(high, scene.domain.size)
     if not np.all(low < high):

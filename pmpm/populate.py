@@ -85,7 +85,8 @@ class Beginning:
         if count:
             try:
                 key = "velocity"
-                reals[:, layout.where("v")] = in_precision(vectors(geometry, seeds, body.velocity), simulation.real)
+                velocity = vectors(geometry, seeds, body.velocity) + of_file(simulation, number, seeds, "velocity", 0.0)
+                reals[:, layout.where("v")] = in_precision(velocity, simulation.real)
                 key = "stress" if body.stress is not None else "deformation"
                 reals[:, layout.state_first :] = first_states(simulation, law, number, seeds)
                 if body.displacement is not None:
@@ -165,7 +166,7 @@ def load_accelerations(scene, counts):
     """(loads, bodies, dim) m/s2 of each load on the particles of each body that it acts on, `counts` (loads, bodies) of
     whole ones. Raises SceneError for a load on nothing."""
     found = np.zeros((len(scene.loads), len(scene.bodies), scene.dim))
-    volumes = np.array([scene.domain.cell_size**scene.dim / body.particles_per_cell for body in scene.bodies])
+    volumes = np.array([seeding.whole_volume(scene, body) for body in scene.bodies])
     densities = np.array([scene.materials[body.material].parameters["density"] for body in scene.bodies])
     for number, load in enumerate(scene.loads):
         volume = float(counts[number] @ volumes)
@@ -247,9 +248,20 @@ def displaced(geometry, body, seeds):
     return node.astype(np.int32), offset
 
 
+def of_file(simulation, number, seeds, name, otherwise):
+    """(n, k) of a field in the file that the particles of a body come from, or what it is otherwise."""
+    shape = simulation.scene.bodies[number].shape
+    values = shape.field(name) if shape.type == "particles" else None
+    return otherwise if values is None else values[seeds.id - seeding.id_offsets(simulation.scene)[number]]
+
+
 def first_states(simulation, law, number, seeds):
     """(n, state) or (state,) of the particles of a body."""
     body = simulation.scene.bodies[number]
+    if body.shape.type == "particles" and start.fields_of_file(body.shape, simulation.needs.laws[law]):
+        whole = start.ArrayLaw(simulation.scene.materials[body.material], simulation.dim)
+        rows = seeds.id - seeding.id_offsets(simulation.scene)[number]
+        return start.states_of_file(whole, body.shape, rows)
     if body.deformation is None and body.stress is None and body.pressure == "zero":
         return state_at_rest(simulation, law, number)
     if body.pressure == "hydrostatic":

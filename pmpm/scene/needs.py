@@ -1,6 +1,5 @@
 """From a scene to what the floors below take: plain constants, tables and boxes of nodes."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +62,7 @@ def grid_geometry(scene, needs):
 
 def check_ids(scene):
     """Raise SceneError where there are more places for particles than numbers for them."""
-    places = math.prod(scene.cells) * sum(body.particles_per_cell for body in scene.bodies)
+    places = sum(seeding.place_counts(scene))
     if places >= MOST_IDS:
         text = f"{float(places):.3g} places for particles in the domain, at most {float(MOST_IDS):.3g} can be numbered"
         raise SceneError(f"scene: domain.cell_size: {text}")
@@ -88,11 +87,10 @@ def law_table(scene, law):
     """
     dim = scene.dim
     rows: list[list[float] | None] = []
-    volume = scene.domain.cell_size**dim
     for body in scene.bodies:
         if law_of_body(scene, body) == law:
             keys = scene.materials[body.material].parameters
-            volume0 = volume / body.particles_per_cell
+            volume0 = seeding.whole_volume(scene, body)
             rows.append([keys["density"] * volume0, volume0, keys["density"], *law.module.parameters(keys, dim)])
         else:
             rows.append(None)

@@ -465,7 +465,10 @@ class Scene(Part):
     def complete_body(self, body: Body) -> Body:
         count = 2**self.dim if body.particles_per_cell is None else body.particles_per_cell
         velocity = (0.0,) * self.dim if body.velocity is None else body.velocity
-        places = body.seeding or ("lattice" if fits_lattice(count, self.dim) else "jittered")
+        if body.shape.type == "particles":
+            places = None
+        else:
+            places = body.seeding or ("lattice" if fits_lattice(count, self.dim) else "jittered")
         known = {"particles_per_cell": count, "seeding": places, "velocity": velocity}
         return body.model_copy(update=known | {"stress": self.complete_stress(body)})
 
@@ -498,6 +501,8 @@ class Scene(Part):
         else:
             yield from self.wrong_pressure(body, here)
         count = body.particles_per_cell
+        if body.seeding and body.shape.type == "particles":
+            yield Problem((*here, "seeding"), "belongs to shapes that are filled, not to particles", body.seeding)
         if body.seeding in ("lattice", "quadrature") and count and not fits_lattice(count, self.dim):
             side = int(count ** (1 / self.dim))
             nearest = f"{side**self.dim} and {(side + 1) ** self.dim}"
@@ -543,6 +548,9 @@ class Scene(Part):
         shapes = [other.shape for other in self.bodies[index:]]
         for problem in start.wrong_functions(body, shapes, law):
             yield Problem(("bodies", index, *problem.path), problem.text, problem.value)
+        if body.shape.type == "particles":
+            for problem in start.wrong_file(body, law):
+                yield Problem(("bodies", index, "shape", *problem.path), problem.text, problem.value)
         if body.stress is not None:
             gravity, surface = self.domain.gravity, body.stress.depth_from or 0.0
             tried = geostatic.depths(body.shape, gravity, surface, DEPTHS)

@@ -1,5 +1,6 @@
 """Fill the bodies of a scene with particles: each rank only the layers it owns, the same particles for any rank count."""
 
+import math
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import product
@@ -7,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from pmpm.scene.shapes import leaves_of
+from pmpm.state.fields import SHARE_STEPS
 
 PLACES = 1 << 17  # that are tried at a time
 SEEDINGS = ("lattice", "jittered", "poisson_disk", "quadrature")
@@ -73,7 +75,29 @@ def fits_lattice(particles_per_cell, dim):
 
 def gives_shares(body):
     """Whether particles of a body carry a part of a whole particle's volume each."""
-    return body.seeding == "quadrature"
+    return body.seeding == "quadrature" or (body.shape.type == "particles" and file_shares(body.shape) is not None)
+
+
+def file_shares(shape):
+    """(n,) of the particles of a file, in whole SHARE_STEPS; None where all have the same volume."""
+    given = shape.volume if shape.volume is not None else shape.field("share")
+    if given is None or np.ptp(given) == 0.0:
+        return None
+    steps = np.rint(given.reshape(-1) * (SHARE_STEPS / (1.0 if shape.volume is None else given.max())))
+    return np.maximum(steps, 1.0) / SHARE_STEPS
+
+
+def whole_volume(scene, body):
+    """Volume in m3 (2-D: m2) of a particle of a body whose share is 1."""
+    if body.shape.type == "particles" and body.shape.volume is not None:
+        return float(body.shape.volume.max())
+    return scene.domain.cell_size**scene.dim / body.particles_per_cell
+
+
+def place_counts(scene):
+    """[of each body the number of places that particles could have]: ids number them."""
+    cells = math.prod(scene.cells)
+    return [len(b.shape.x) if b.shape.type == "particles" else cells * b.particles_per_cell for b in scene.bodies]
 
 
 @cache
@@ -82,11 +106,10 @@ def spread_tile(particles_per_cell, dim):
     many in each cell: of CANDIDATES random ones in the cell each time the one farthest from all before (Mitchell 1991)."""
     side = max(1, int((TILE_PLACES / particles_per_cell) ** (1.0 / dim)))
     cells = np.stack(np.meshgrid(*[np.arange(side)] * dim, indexing="ij"), -1).reshape(-1, dim)
-    rounds = min(particles_per_cell, 4096)
-    found = np.zeros((len(cells) * rounds, dim))
+    found = np.zeros((len(cells) * particles_per_cell, dim))
     owner, which = np.zeros((2, len(found)), np.int64)
     count = 0
-    for k in range(rounds):
+    for k in range(particles_per_cell):
         for cell in np.argsort(scrambled(np.arange(len(cells), dtype=np.uint64) + np.uint64(977 * (k + 1)))):
             tried = cells[cell] + jittered(cells[cell : cell + 1], CANDIDATES, k + 1)[0]
             far = np.abs(tried[:, None, :] - found[:count])
@@ -173,8 +196,7 @@ def scrambled(z):
 
 def id_offsets(scene):
     """First id of each body: ids number all places a body could fill in the domain, so that they may have gaps."""
-    cells = int(np.prod([np.int64(n) for n in scene.cells]))
-    return np.concatenate([[0], np.cumsum([cells * body.particles_per_cell for body in scene.bodies])]).astype(np.int64)
+    return np.concatenate([[0], np.cumsum(place_counts(scene))]).astype(np.int64)
 
 
 def seed(scene, geometry, number, groups, around):
@@ -211,6 +233,9 @@ def seed_planes(scene, geometry, number, first_layer, last_layer, around):
     `around`: the Surroundings of all bodies.
     """
     slab, body = geometry.axes[0], scene.bodies[number]
+    if body.shape.type == "particles":
+        yield from seed_file(geometry, body.shape, around.first_id[number], first_layer, last_layer)
+        return
     first_id, later = around.first_id[number], meeting_later_bodies(scene, number, around)
     first_cell, last_cell = around.first[number], around.last[number]
     widths = np.maximum(last_cell - first_cell, 0)
@@ -234,6 +259,26 @@ def seed_planes(scene, geometry, number, first_layer, last_layer, around):
             within = np.unravel_index(np.arange(first, min(first + piece, in_plane)), widths)
             cells = corner + np.stack(within, -1)
             yield told, seed_cells(scene, geometry, number, cells, first_id, lowest, highest, later)
+
+
+def seed_file(geometry, shape, first_id, first_layer, last_layer):
+    """Yield (layer, Seeds) of particles out of a file in these layers, one layer after another."""
+    cells, share = shape.x / geometry.cell_size, file_shares(shape)
+    home = np.floor(cells + geometry.stencil.round)
+    for axis in range(geometry.dim):
+        if not geometry.periodic[axis]:  # what stands on a wall belongs to the last node inside
+            home[:, axis] = np.clip(home[:, axis], 0, geometry.homes(axis) - 1)
+    offset, node = cells - home, home.astype(np.int32)
+    for axis in range(geometry.dim):
+        if geometry.periodic[axis]:
+            node[:, axis] %= geometry.cells[axis]
+    layer = node[:, geometry.axes[0]]
+    here = np.flatnonzero((layer >= first_layer) & (layer < last_layer))
+    here = here[np.argsort(layer[here], kind="stable")]
+    for one in np.split(here, np.flatnonzero(np.diff(layer[here])) + 1):
+        if len(one):
+            shares = None if share is None else share[one]
+            yield int(layer[one[0]]), Seeds(node[one], offset[one], first_id + one, shares)
 
 
 def surrounding_cells(scene, body):
@@ -301,12 +346,18 @@ def places_of(scene, ids):
     offsets = id_offsets(scene)
     body = np.searchsorted(offsets, ids, side="right") - 1
     counts = np.array([b.particles_per_cell for b in scene.bodies], np.int64)[body]
-    cell_number, which = np.divmod(ids - offsets[body], counts)
+    from_file = np.array([b.shape.type == "particles" for b in scene.bodies])[body]
+    cell_number, which = np.divmod(np.where(from_file, 0, ids - offsets[body]), counts)
     cell = np.stack(np.unravel_index(cell_number, scene.cells), axis=-1).astype(np.int64)
     place = np.zeros((len(ids), scene.dim))
     for number in np.unique(body):
         rows = np.flatnonzero(body == number)
         own = scene.bodies[number]
+        if own.shape.type == "particles":
+            x = own.shape.x[ids[rows] - offsets[number]] / scene.domain.cell_size
+            cell[rows] = np.clip(np.floor(x), 0, np.array(scene.cells) - 1)
+            place[rows] = x - cell[rows]
+            continue
         if own.seeding == "quadrature":
             bodies = [own, *meeting_later_bodies(scene, number, surroundings(scene))]
             per_axis = round(own.particles_per_cell ** (1 / scene.dim))

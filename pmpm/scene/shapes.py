@@ -6,13 +6,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from pmpm.scene.mesh import Mesh
+from pmpm.scene.mesh import Mesh, Particles
 from pmpm.scene.messages import TAG, Problem, Problems, known_text, path_text
 from pmpm.scene.part import Part
 from pmpm.scene.values import check_vector, check_word, number, tables, vector
 
 AXES = ("x", "y", "z")
-PLANNED_SHAPES = ("terrain", "particles")
+PLANNED_SHAPES = ("terrain",)
 
 Bounds = tuple[np.ndarray, np.ndarray]
 
@@ -187,7 +187,7 @@ class Intersection(Part):
         return [] if np.all(low < high) else [Problem(("of",), "is empty: these shapes do not all overlap")]
 
 
-SHAPES = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "mesh": Mesh}
+SHAPES = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "mesh": Mesh, "particles": Particles}
 SHAPES |= {"union": Union, "difference": Difference, "intersection": Intersection}
 
 
@@ -212,6 +212,7 @@ Shape = Annotated[
     | Annotated[Sphere, Tag(TAG + "sphere")]
     | Annotated[Cylinder, Tag(TAG + "cylinder")]
     | Annotated[Mesh, Tag(TAG + "mesh")]
+    | Annotated[Particles, Tag(TAG + "particles")]
     | Annotated[Union, Tag(TAG + "union")]
     | Annotated[Difference, Tag(TAG + "difference")]
     | Annotated[Intersection, Tag(TAG + "intersection")],
@@ -251,5 +252,12 @@ def misfits_of(shapes: tuple[Any, ...], dim: int) -> list[Problem]:
     return [
         Problem(("of", index, *problem.path), problem.text, problem.value)
         for index, shape in enumerate(shapes)
-        for problem in shape.misfits(dim)
+        for problem in region_misfits(shape, dim)
     ]
+
+
+def region_misfits(shape: Any, dim: int) -> list[Problem]:
+    """List what does not fit where points are asked for that lie in a shape."""
+    if shape.type == "particles":
+        return [Problem(("type",), "can only be the whole shape of a body", shape.type)]
+    return shape.misfits(dim)

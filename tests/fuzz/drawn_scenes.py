@@ -29,6 +29,7 @@ ROWS = [row for row in agreement.PAIRS + agreement.SINGLE if row["material"] != 
 MESHES = {
     dim: Path(__file__).with_name(name) for dim, name in ((2, "square.obj"), (3, "cube.obj"))
 }  # 2 wide, one group
+POINTS = MESHES | {3: MESHES[3].with_name("points.csv")}
 OWN_KERNELS = [next(row for row in ROWS if row["dim"] == dim) for dim in (2, 3)]
 ELASTIC = ("neo_hookean", "hencky", "fixed_corotated")
 CELL_SIZES = (0.05, 1e-3, 20.0)
@@ -218,6 +219,21 @@ def shape(draw, cells, long, half, dim):
 
 
 @st.composite
+def points(draw, cells, long, half):
+    """A few particles out of a file: of the cells of the square, in space those of a table."""
+    dim = len(cells)
+    table = draw(mesh(dim, [cells[axis] * (0.25 + 0.5 * half if axis == long else 0.5) for axis in range(dim)]))
+    fields = draw(maybe(st.just([]) if dim == 2 else st.sampled_from(([], ["velocity"]))))
+    table |= {
+        "type": "particles",
+        "file": str(POINTS[dim]),
+        "fields": fields,
+        "checksum": draw(maybe(st.just(checksum(str(POINTS[dim]))))),
+    }
+    return table if dim == 2 else table | {"group": None}
+
+
+@st.composite
 def mesh(draw, dim, center):
     """A cube or square out of a file, turned as it likes; it is 2 wide there, and its middle at the origin."""
     path = str(MESHES[dim])
@@ -249,12 +265,14 @@ def body(draw, name, table, cells, long, half, h, gravity, own_kernels):
     seedings += ["quadrature"] if own_kernels and count in (None, 2**dim) else []
     made = {
         "material": name,
-        "shape": in_metres(draw(shape(cells, long, half, dim)), h),
+        "shape": in_metres(draw(st.one_of(*[shape(cells, long, half, dim)] * 5, points(cells, long, half))), h),
         "particles_per_cell": count,
         "seeding": draw(maybe(st.sampled_from(seedings))),
         "velocity": draw(maybe(vectors(-0.2, 0.2, dim) | st.just([0] * dim))),
         "displacement": draw(maybe(vectors(-0.3 * h, 0.3 * h, dim))),
     }
+    if made["shape"]["type"] == "particles":
+        made["seeding"] = None
     starts = ["", "", "deformation"]
     if gravity is not None and sum(value != 0.0 for value in gravity) == 1:
         starts += ["hydrostatic"] * 3 if hasattr(law, "hydrostatic_state") else []
@@ -280,7 +298,9 @@ def body(draw, name, table, cells, long, half, h, gravity, own_kernels):
 @st.composite
 def load(draw, bodies, dim):
     kind = draw(st.sampled_from(("force", "acceleration")))
-    return {"shape": copy.deepcopy(draw(st.sampled_from(bodies))["shape"]), kind: draw(vectors(-0.01, 0.01, dim))}
+    everywhere = {"type": "box", "min": [-1e6] * dim, "max": [1e6] * dim}
+    shapes = [everywhere if body["shape"]["type"] == "particles" else body["shape"] for body in bodies]
+    return {"shape": copy.deepcopy(draw(st.sampled_from(shapes))), kind: draw(vectors(-0.01, 0.01, dim))}
 
 
 @st.composite
