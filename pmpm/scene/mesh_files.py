@@ -8,7 +8,10 @@ import contextlib
 import csv
 import io
 import re
+import signal
+import threading
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,6 +32,8 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
 VOLUMES, PLANES = ("tetra", "pyramid", "wedge", "hexahedron"), ("triangle", "quad")
+FORMATS = {".msh": "gmsh"}  # not Ansys, whose reader meshio asks first: it never ends on a file that is cut off
+PATIENCE, PATIENCE_PER_BYTE = 20.0, 4e-6  # s
 VTK_REALS = {"Float32": "f4", "Float64": "f8"}
 VTK_TYPES = VTK_REALS | {
     f"{sign}Int{8 * size}": f"{sign.lower() or 'i'}{size}" for sign in ("", "U") for size in (1, 2, 4, 8)
@@ -105,10 +110,12 @@ def read_with_meshio(path: str) -> FileMesh:
         import meshio
     except ImportError:
         raise Unfit("needs meshio to be read: pip install 'pmpm[mesh]'") from None
+    if path.lower().endswith(".ply") and b"end_header" not in Path(path).read_bytes():
+        raise Unfit("cannot be read: it has no end_header")  # for which meshio would look for ever
     said = io.StringIO()
     try:  # it prints what it thinks, and ends the process where no reader takes the file
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            mesh = meshio.read(path)
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), patience(path):
+            mesh = meshio.read(path, FORMATS.get(Path(path).suffix.lower()))
     except SystemExit:
         raise Unfit(f"cannot be read: {first_line(said.getvalue())}") from None
     except ImportError as error:
@@ -116,6 +123,27 @@ def read_with_meshio(path: str) -> FileMesh:
     points = in_space(np.asarray(mesh.points, float))
     blocks = [block for number, cells in enumerate(mesh.cells) for block in blocks_of(mesh, number, cells)]
     return FileMesh(points, blocks, {name: np.asarray(values) for name, values in mesh.point_data.items()})
+
+
+@contextlib.contextmanager
+def patience(path: str) -> Iterator[None]:
+    """Raise Unfit when reading takes longer than any file of this size may: some of meshio's readers wait for ever for what a
+    file that was cut off does not have. Where nothing can interrupt, outside of the main thread, there is no limit."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
+        yield
+        return
+    seconds = PATIENCE + Path(path).stat().st_size * PATIENCE_PER_BYTE
+
+    def give_up(number: int, frame: Any) -> None:
+        raise Unfit(f"cannot be read: no end was found in {seconds:.0f} s; is it cut off?")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    rest, _ = signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, rest)
+        signal.signal(signal.SIGALRM, before)
 
 
 def in_space(points: np.ndarray) -> np.ndarray:

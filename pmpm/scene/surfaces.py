@@ -144,7 +144,7 @@ def closed_surface(points: np.ndarray, corners: np.ndarray) -> Surface:
         raise Unfit(f"is flat: it is {measures(extent)} m large")
     points, corners = welded(points, corners, TOGETHER * float(extent.max()))
     corners, empty = without_empty(corners)
-    corners, repeated = without_repeated(corners)
+    corners, repeated = without_repeated(corners) if len(corners) else (corners, 0)
     if not len(corners):
         raise Unfit(f"holds no {kind} that has an extent and is there once")
     corners, piece, turned = agreeing(points, corners)

@@ -417,6 +417,54 @@ def test_a_file_for_meshio_without_it_names_the_extra(tmp_path, monkeypatch):
         Mesh(file=tmp_path / "a.stl")
 
 
+def test_a_ply_that_is_cut_off_ends(tmp_path):
+    (tmp_path / "a.ply").write_text("ply\nformat ascii 1.0\nelement vertex 3\n")
+    with pytest.raises(SceneError, match="cannot be read: it has no end_header"):
+        Mesh(file=tmp_path / "a.ply")
+
+
+def test_a_reader_that_finds_no_end_is_stopped(tmp_path, monkeypatch):
+    meshio = pytest.importorskip("meshio")
+    from pmpm.scene import mesh_files
+
+    def read(path, kind):
+        while True:
+            pass
+
+    monkeypatch.setattr(meshio, "read", read)
+    monkeypatch.setattr(mesh_files, "PATIENCE", 0.1)
+    (tmp_path / "a.stl").write_text("solid")
+    with pytest.raises(SceneError, match="no end was found in 0 s; is it cut off"):
+        Mesh(file=tmp_path / "a.stl")
+
+
+@pytest.mark.parametrize("name", ["ring.obj", "ring.vtp", "frame.csv", "ring.stl"])
+def test_damaged_files_are_read_or_told(name, tmp_path):
+    if name.endswith("obj"):
+        write_obj(tmp_path / name, *ring(around=8, across=6))
+    elif name.endswith("csv"):
+        (tmp_path / name).write_text("x,y\n0,0\n4,0\n4,4\n0,4\n\n1,1\n1,3\n3,3\n3,1\n1,1\n")
+    else:
+        vtk = pytest.importorskip("vtk")
+        writer = vtk.vtkXMLPolyDataWriter() if name.endswith("vtp") else vtk.vtkSTLWriter()
+        writer.SetFileName(str(tmp_path / name))
+        writer.SetInputData(poly_data(*ring(around=8, across=6)))
+        assert writer.Write()
+    whole, random = (tmp_path / name).read_bytes(), np.random.default_rng(1)
+    told = 0
+    for _ in range(60):
+        content = bytearray(whole[: random.integers(len(whole)) if random.random() < 0.3 else len(whole)])
+        for place in random.integers(max(len(content), 1), size=random.integers(1, 6)):
+            content[place : place + random.integers(3)] = bytes(random.integers(0, 256, 1, dtype=np.uint8))
+        (tmp_path / name).write_bytes(content)
+        try:
+            Mesh(file=tmp_path / name)
+        except SceneError as complaint:
+            told += 1
+            assert len(str(complaint)) < 600
+    assert told > 5
+
+
 def test_normals_are_as_long_as_the_area():
     points, corners = box()
     assert np.linalg.norm(normals(points[corners]), axis=1) == pytest.approx(np.full(12, 2.0))
