@@ -204,3 +204,14 @@ def test_particles_are_no_region(table):
 def test_a_state_told_twice_is_refused(table):
     with pytest.raises(SceneError, match=r"shape.fields says in which state .* and so does deformation"):
         scene({"shape": points(table[0]), "deformation": [[1.1, 0.0], [0.0, 1.0]]})
+
+
+@pytest.mark.parametrize("splines", ["linear", "quadratic", "cubic"])
+def test_a_particle_on_the_far_wall_belongs_to_the_last_node_inside(splines, tmp_path):
+    (tmp_path / "a.csv").write_text("x,y\n1.0,1.0\n0.95,0.95\n")
+    made = scene({"shape": points(tmp_path / "a.csv")}, method={"shape_function": splines})
+    geometry = grid_geometry(made, scene_needs(made))
+    found = [s for _, s in seeding.seed_planes(made, geometry, 0, 0, geometry.layers, seeding.surroundings(made))]
+    nodes = seeding.joined(found, 2).node
+    assert len(nodes) == 2
+    assert (nodes < [geometry.homes(axis) for axis in (0, 1)]).all()

@@ -451,7 +451,7 @@ def test_damaged_files_are_read_or_told(name, tmp_path):
         writer.SetInputData(poly_data(*ring(around=8, across=6)))
         assert writer.Write()
     whole, random = (tmp_path / name).read_bytes(), np.random.default_rng(1)
-    told = 0
+    told = []
     for _ in range(60):
         content = bytearray(whole[: random.integers(len(whole)) if random.random() < 0.3 else len(whole)])
         for place in random.integers(max(len(content), 1), size=random.integers(1, 6)):
@@ -460,9 +460,9 @@ def test_damaged_files_are_read_or_told(name, tmp_path):
         try:
             Mesh(file=tmp_path / name)
         except SceneError as complaint:
-            told += 1
-            assert len(str(complaint)) < 600
-    assert told > 5
+            told.append(len(str(complaint)))
+    assert len(told) > 5
+    assert max(told) < 600
 
 
 def test_normals_are_as_long_as_the_area():
