@@ -15,7 +15,7 @@ from pmpm.scene import start
 from pmpm.scene.colliders import cut_out
 from pmpm.scene.errors import SceneError
 from pmpm.scene.forcing import velocity_at
-from pmpm.scene.seeding import meeting_later_bodies, surroundings
+from pmpm.scene.seeding import meeting_later_bodies, spread_places, surroundings
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
 from pmpm.state.grid import SLACK
@@ -59,6 +59,8 @@ def particles(scene):
 
 def particles_of(scene, number, samples, around):
     body, dx = scene.bodies[number], scene.domain.cell_size
+    if body.shape.type == "particles":
+        return float(len(body.shape.x))
     low, high = body.shape.bounds()
     low, high = np.maximum(low, 0.0), np.minimum(high, scene.domain.size)
     if not np.all(low < high):
@@ -94,13 +96,6 @@ def stream(scene, inflow):
     most = math.inf if inflow.limit is None else inflow.limit / size**scene.dim * inflow.particles_per_cell
     total = min(first + rate * max(min(inflow.until, scene.time.end) - inflow.start, 0.0), most)
     return Stream(min(first, most), rate, total)
-
-
-def spread_places(count, dim):
-    """(count, dim) places spread evenly over the unit square or cube, always the same: multiples of powers of the root of
-    x^(dim + 1) = x + 1 (M. Roberts 2018, a generalisation of the golden ratio)."""
-    root = 1.32471795724474602596 if dim == 2 else 1.22074408460575947536
-    return np.modf(np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, dim + 1.0))[0]
 
 
 def bytes_per_particle(needs):

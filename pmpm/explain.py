@@ -10,6 +10,7 @@ from pmpm.parallel.slabs import room
 from pmpm.physics.materials import LAWS, python_law
 from pmpm.populate import rehearse
 from pmpm.scene.errors import SceneError
+from pmpm.scene.shapes import shapes_in
 from pmpm.state.fields import OPTIONAL
 
 ELASTIC_STATE = {"F", "J", "hencky_strain", "elastic_strain"}
@@ -37,6 +38,7 @@ def explain(scene, ranks, backend="cpu"):
             f"{count_text(s.total)} in all"
             for inflow, s in zip(scene.inflows, streams, strict=True)
         ),
+        *mesh_lines(scene),
         *memory_lines(taken, ranks),
         f"time step     {dt:.3g} s at the start{' (fixed)' if scene.time.step else f', cfl {scene.time.cfl:g}'}",
         f"cost          about {math.ceil(scene.time.end / dt)} steps, {'at most ' if streams else ''}"
@@ -78,6 +80,12 @@ def first_look(scene):
 def count_text(number):
     """A number of particles: whole if they were counted, rounded if they were estimated."""
     return f"about {number:.3g}" if isinstance(number, float) else str(number)
+
+
+def mesh_lines(scene):
+    """What is known of each shape that comes out of a file."""
+    told = [(key, shape) for key, shape in shapes_in(scene) if hasattr(shape, "told")]
+    return [f"{'files' if n == 0 else '':14s}{key}: {shape.told()}" for n, (key, shape) in enumerate(told)]
 
 
 def memory_lines(taken, ranks):

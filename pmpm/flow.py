@@ -23,6 +23,7 @@ from pmpm.scene.functions import Unfit
 from pmpm.scene.needs import law_of_body, open_faces
 from pmpm.scene.seeding import id_offsets, lattice_range
 from pmpm.state.derived import MASS, VOLUME0
+from pmpm.state.fields import SHARE_STEPS
 from pmpm.state.particles import Cloud, Ordered, Population
 
 EARLY = 1e-9  # of a spacing: what has been travelled is rounded
@@ -33,14 +34,15 @@ DROPS = 1e-9  # of a particle: a limit may be written with fewer digits
 class Flow:
     """What has come into one simulation, and what has left it.
 
-    left: (sources,) particles; taken, brought: {name: sum} of momentum (N s, `momentum_x` ...) and energy (J) with them.
+    left: (sources,) particles, left_steps: their shares in SHARE_STEPS; taken, brought: {name: sum} of momentum (N s,
+    `momentum_x` ...) and energy (J) with them.
     """
 
     def __init__(self, simulation):
         scene = simulation.scene
         self.scene, self.opened = scene, simulation.needs.open
         self.floor = (0.0, 0.0)  # m/s: speed and speed of waves of what is about to come in
-        self.left = np.zeros(len(scene.sources), np.int64)
+        self.left, self.left_steps = np.zeros((2, len(scene.sources)), np.int64)
         names = [*(f"momentum_{axis}" for axis in "xyz"[: scene.dim]), "energy"]
         self.taken, self.brought = dict.fromkeys(names, 0.0), dict.fromkeys(names, 0.0)
         self.first_id = int(id_offsets(scene)[-1])
@@ -107,6 +109,8 @@ class Flow:
         reals[:, layout.state_first :] = state_at_rest(simulation, mouth.law, mouth.row)
         if layout.where("X"):
             reals[:, layout.where("X")] = x
+        if layout.where("share"):
+            reals[:, layout.where("share")] = 1.0
         made = Cloud(reals, node, np.full(count, mouth.row, np.int32), first_id + np.arange(count))
         made.places[:, : simulation.dim] = place
         return made
@@ -116,10 +120,12 @@ class Flow:
     def take_out(self, simulation, gone):
         """Count the particles of a Cloud of each law that have left this rank. Collective."""
         here = np.bincount(np.concatenate([cloud.row for cloud in gone]), minlength=len(self.left))
-        counts = simulation.comm.sum(here.astype(np.int64))
+        steps = sum(share_steps(simulation, law, cloud, len(self.left)) for law, cloud in enumerate(gone))
+        counts, steps = simulation.comm.sum(np.stack([here.astype(np.int64), steps]))
         if not counts.any():
             return
         self.left += counts
+        self.left_steps += steps
         for law, cloud in enumerate(gone):
             everyone = Cloud.join([Cloud(*parts) for parts in simulation.comm.gather(cloud.parts)])
             add(self.taken, totals(simulation, law, everyone))
@@ -144,11 +150,14 @@ class Flow:
     def measured(self):
         """What `Simulation.measure` tells besides: particles, mass, momentum and energy, as far as the scene has such flows."""
         found: dict[str, float] = {}
-        out = "left", self.opened, self.left, self.taken
-        for name, there, counts, carried in (out, ("emitted", self.mouths, self.emitted, self.brought)):
+        out = "left", self.opened, self.left, self.left_steps / SHARE_STEPS, self.taken
+        for name, there, counts, whole, carried in (
+            out,
+            ("emitted", self.mouths, self.emitted, self.emitted, self.brought),
+        ):
             if there:
                 found[name] = int(counts.sum())
-                found[f"{name}_mass"] = math.fsum(counts * self.masses)
+                found[f"{name}_mass"] = math.fsum(whole * self.masses)
                 found |= {f"{name}_{what}": value for what, value in carried.items()}
         return found
 
@@ -161,20 +170,35 @@ class Flow:
     def state(self):
         """What it takes to go on, as plain numbers; how far regions have travelled is told with all others."""
         last = [None if mouth.last is None else mouth.last.tolist() for mouth in self.mouths]
-        return self.report() | {"last": last, "taken": self.taken, "brought": self.brought}
+        return self.report() | {
+            "left_steps": self.left_steps.tolist(),
+            "last": last,
+            "taken": self.taken,
+            "brought": self.brought,
+        }
 
     def resume(self, state):
         """Go on from what `state` gave. Raises ValueError where it is that of another scene."""
         names, sources, inflows = set(self.taken), len(self.left), len(self.mouths)
         fits = set(state["taken"]) == set(state["brought"]) == names and len(state["last"]) == inflows
-        fits = fits and len(state["left"]) == len(state["emitted"]) == sources
+        fits = fits and len(state["left"]) == len(state["left_steps"]) == len(state["emitted"]) == sources
         if not fits or any(last is not None and len(last) != self.scene.dim for last in state["last"]):
             raise ValueError("what has come in and left is that of another scene")
-        self.left[:] = state["left"]
+        self.left[:], self.left_steps[:] = state["left"], state["left_steps"]
         self.taken, self.brought = dict(state["taken"]), dict(state["brought"])
         for mouth, last in zip(self.mouths, state["last"], strict=True):
             mouth.last = None if last is None else np.array(last)
             mouth.count = state["emitted"][mouth.row]
+
+
+def share_steps(simulation, law, cloud, sources):
+    """(sources,) sums of the shares of a Cloud of a law, in SHARE_STEPS."""
+    where, steps = simulation.layouts[law].where("share"), np.full(len(cloud.row), SHARE_STEPS, np.int64)
+    if where is not None:
+        steps = np.rint(cloud.reals[:, where][:, 0].astype(np.float64) * SHARE_STEPS).astype(np.int64)
+    found = np.zeros(sources, np.int64)
+    np.add.at(found, cloud.row, steps)
+    return found
 
 
 class Mouth(Region):

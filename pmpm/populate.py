@@ -88,7 +88,8 @@ class Beginning:
         if count:
             try:
                 key = "velocity"
-                reals[:, layout.where("v")] = in_precision(vectors(geometry, seeds, body.velocity), simulation.real)
+                velocity = vectors(geometry, seeds, body.velocity) + of_file(simulation, number, seeds, "velocity", 0.0)
+                reals[:, layout.where("v")] = in_precision(velocity, simulation.real)
                 key = "stress" if body.stress is not None else "deformation"
                 reals[:, layout.state_first :] = first_states(simulation, law, number, seeds)
                 if body.displacement is not None:
@@ -100,6 +101,8 @@ class Beginning:
         if layout.where("load"):
             with np.errstate(over="ignore"):  # an endless load has no time step
                 reals[:, layout.where("load")] = loads_on(simulation.scene, geometry, self.loads[:, number], seeds)
+        if layout.where("share"):
+            reals[:, layout.where("share")] = 1.0 if seeds.share is None else seeds.share[:, None]
         if layout.where("X"):
             reals[:, layout.where("X")] = reference_positions(geometry, seeds)
         return seeded
@@ -107,14 +110,14 @@ class Beginning:
 
 def counted(scene, geometry, first, last):
     """((bodies, layers), (loads, bodies)): how many particles there will be in each of the layers first .. last - 1, zero in
-    others, and how many of them each load acts on."""
+    others, and how many whole ones of them each load acts on."""
     counts = np.zeros((len(scene.bodies), geometry.layers), np.int64)
-    loaded, around = np.zeros((len(scene.loads), len(scene.bodies)), np.int64), seeding.surroundings(scene)
+    loaded, around = np.zeros((len(scene.loads), len(scene.bodies))), seeding.surroundings(scene)
     for number in range(len(scene.bodies)):
         for _, seeds in seeding.seed_planes(scene, geometry, number, first, last, around):
             seeding.add_counts(counts[number], seeds.node[:, geometry.axes[0]])
             for which, load in enumerate(scene.loads):
-                loaded[which, number] += np.count_nonzero(load_acts(load, geometry, seeds))
+                loaded[which, number] += seeds.take(load_acts(load, geometry, seeds)).whole
     return counts, loaded
 
 
@@ -163,10 +166,10 @@ def load_acts(load, geometry, seeds):
 
 
 def load_accelerations(scene, counts):
-    """(loads, bodies, dim) m/s2 of each load on the particles of each body that it acts on, `counts` (loads, bodies) of them.
-    Raises SceneError for a load on nothing."""
+    """(loads, bodies, dim) m/s2 of each load on the particles of each body that it acts on, `counts` (loads, bodies) of
+    whole ones. Raises SceneError for a load on nothing."""
     found = np.zeros((len(scene.loads), len(scene.bodies), scene.dim))
-    volumes = np.array([scene.domain.cell_size**scene.dim / body.particles_per_cell for body in scene.bodies])
+    volumes = np.array([seeding.whole_volume(scene, body) for body in scene.bodies])
     densities = np.array([scene.materials[body.material].parameters["density"] for body in scene.bodies])
     for number, load in enumerate(scene.loads):
         volume = float(counts[number] @ volumes)
@@ -248,9 +251,20 @@ def displaced(geometry, body, seeds):
     return node.astype(np.int32), offset
 
 
+def of_file(simulation, number, seeds, name, otherwise):
+    """(n, k) of a field in the file that the particles of a body come from, or what it is otherwise."""
+    shape = simulation.scene.bodies[number].shape
+    values = shape.field(name) if shape.type == "particles" else None
+    return otherwise if values is None else values[seeds.id - seeding.id_offsets(simulation.scene)[number]]
+
+
 def first_states(simulation, law, number, seeds):
     """(n, state) or (state,) of the particles of a body."""
     body = simulation.scene.bodies[number]
+    if body.shape.type == "particles" and start.fields_of_file(body.shape, simulation.needs.laws[law]):
+        whole = start.ArrayLaw(simulation.scene.materials[body.material], simulation.dim)
+        rows = seeds.id - seeding.id_offsets(simulation.scene)[number]
+        return start.states_of_file(whole, body.shape, rows)
     if body.deformation is None and body.stress is None and body.pressure == "zero":
         return state_at_rest(simulation, law, number)
     if body.pressure == "hydrostatic":

@@ -10,7 +10,7 @@ from pmpm.kernels.needs import labels
 from pmpm.output.datasets import Later
 from pmpm.physics.materials import law_of
 from pmpm.state.derived import MASS
-from pmpm.state.fields import OPTIONAL, Field
+from pmpm.state.fields import OPTIONAL, SHARE_STEPS, Field
 
 CRUSHED = 0.01  # of the volume: no solid or liquid there is
 
@@ -121,11 +121,23 @@ def measure(simulation):
 def total_mass(simulation):
     """Of all particles over all ranks, counted: no particle that moves on changes a bit of it. Collective."""
     found = []
-    for population, table in zip(simulation.populations, simulation.tables, strict=True):
+    shares = share_steps(simulation) if simulation.needs.shared else None
+    for law, (population, table) in enumerate(zip(simulation.populations, simulation.tables, strict=True)):
         counts = np.zeros(len(table), np.int64)
         np.add.at(counts, population.segments[:, 2], population.segments[:, 1])
-        found.append(simulation.comm.sum(counts) * table[:, MASS])
+        whole = simulation.comm.sum(counts) if shares is None else simulation.comm.sum(shares[law]) / SHARE_STEPS
+        found.append(whole * table[:, MASS])
     return math.fsum(np.concatenate(found))
+
+
+def share_steps(simulation):
+    """Of each law (bodies,) the sum of this rank's shares, in SHARE_STEPS: whole numbers, the same in any order."""
+    found = [np.zeros(len(table), np.int64) for table in simulation.tables]
+    for group in simulation.derived_groups(np.float64):
+        for sums, derived in zip(found, group, strict=True):
+            steps = np.rint(derived.field("share")[:, 0].astype(np.float64) * SHARE_STEPS).astype(np.int64)
+            np.add.at(sums, derived.population.per_particle(derived.population.block_row), steps)
+    return found
 
 
 def crushed(simulation):

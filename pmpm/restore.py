@@ -94,6 +94,7 @@ class Flow(Numbers):
     """Of flow.Flow."""
 
     left: list[Count]
+    left_steps: list[Count]
     emitted: list[Count]
     last: list[list[Finite] | None]
     taken: dict[str, Finite]

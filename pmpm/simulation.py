@@ -34,6 +34,7 @@ from pmpm.particle_access import Particles
 from pmpm.processors import processor
 from pmpm.scene.errors import SceneError
 from pmpm.scene.needs import domain_limits, grid_geometry, law_table, patch_walls, scene_needs
+from pmpm.scene.shapes import shapes_in
 from pmpm.state.assembly import Arrivals, settle
 from pmpm.state.derived import DerivedFields
 from pmpm.state.fields import Layout
@@ -671,6 +672,9 @@ class Simulation:
         bound = self.control.exceeds(self.drive.acceleration(self.time))
         if bound is not None:
             found.append(f"warning: {self.beyond_text(bound)}, and forced")
+        for key, shape in shapes_in(self.scene):
+            flaws = shape.flaws() if hasattr(shape, "flaws") else []
+            found += [f"warning: {key}: {shape.file} was mended: {'; '.join(flaws)}"] if flaws else []
         return found
 
     @property

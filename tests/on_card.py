@@ -31,7 +31,8 @@ def push(x, X, t):
 
 
 def driven():
-    """All that drives from outside: body force, load, damping, a moving wall, friction and a region in motion."""
+    """All that drives from outside: body force, load, damping, a moving wall, friction and a region in motion; and particles
+    with shares, where the surface of a body cuts cells."""
     walls = {"y_min": agreement.FRICTION, "x_min": "stick", "x_max": {"type": "slip", "velocity": [-1.0, 0.0]}}
     low, high = [0.0, 0.0], [0.5, 0.0]
     return Scene(
@@ -40,7 +41,12 @@ def driven():
         time={"end": 1.0},
         materials={"a": agreement.EXAMPLES["neo_hookean"], "b": agreement.EXAMPLES["fluid"]},
         bodies=[
-            {"material": "a", "shape": {"type": "box", "min": low, "max": [0.3, 0.3]}, "velocity": [-0.1, -0.2]},
+            {
+                "material": "a",
+                "shape": {"type": "box", "min": low, "max": [0.28, 0.3]},
+                "velocity": [-0.1, -0.2],
+                "seeding": "quadrature",
+            },
             {"material": "b", "shape": {"type": "box", "min": high, "max": [0.8, 0.3]}, "velocity": [0.1, 0.1]},
         ],
         body_force=push,

@@ -157,6 +157,7 @@ def scene_choices(needs):
         "FORCED": needs.body_force is not None,
         "body_force": needs.body_force or loops.no_force,
         "LOADED": needs.loaded,
+        "SHARED": needs.shared,
         "DRIVEN": needs.driven,
         "ENDS_MIDDLE": not two and needs.has_ends(middle),
         "ENDS_ROW": needs.has_ends(row),
@@ -221,7 +222,9 @@ def lane_choices(needs):
 
 def law_choices(law, layout, parameter_count, tuples, real):
     """Constants and functions of one law."""
-    first = {name: where.start if (where := layout.where(name)) else 0 for name in ("C", "X", "load", "divergence")}
+    first = {
+        name: where.start if (where := layout.where(name)) else 0 for name in ("C", "X", "load", "divergence", "share")
+    }
     return dict(law.choices) | {
         "law": law.module,
         "FIELDS": layout.size,
@@ -230,6 +233,7 @@ def law_choices(law, layout, parameter_count, tuples, real):
         "REFERENCE_FIELD": first["X"],
         "DIVERGENCE_FIELD": first["divergence"],
         "LOAD_FIELD": first["load"],
+        "SHARE_FIELD": first["share"],
         "STATE_FIELD": layout.state_first,
         "LINES": -(-layout.size * real.itemsize // CACHE_LINE),
         "load_state": tuples[layout.size - layout.state_first],

@@ -47,8 +47,8 @@ NODES, MIDDLE_NODES = 3, 1
 THREADS = 128  # of a block of threads
 TILED, TILE_REALS, FAR = True, 6000, 1 << 30  # reals of a box in shared memory; fewer in float64
 int32, int64 = np.int32, np.int64
-MLS = BLENDS = F_BAR = FORCED = DRIVEN = False
-V_FIELD, DIVERGENCE_FIELD, STATE_FIELD = 2, 8, 8
+MLS = BLENDS = F_BAR = FORCED = DRIVEN = SHARED = False
+V_FIELD, DIVERGENCE_FIELD, SHARE_FIELD, STATE_FIELD = 2, 8, 8, 8
 MASS_COLUMN, VOLUME_COLUMN, DENSITY_COLUMN = loops.MASS_COLUMN, loops.VOLUME_COLUMN, loops.DENSITY_COLUMN
 PARAMETER_COLUMN = loops.PARAMETER_COLUMN
 SPEED, WAVE, DRIFT, STRAIN, FORCE, STEP = range(6)  # of the maxima
@@ -151,6 +151,8 @@ def p2g(
         if DRIVEN:
             cuda.atomic.add(works, block, work)
         minus_impulse = -(volume0 * dt) * inv_dx
+        if SHARED:
+            minus_impulse = -(reals[block, SHARE_FIELD, lane] * volume0 * dt) * inv_dx
         plane, middle, node = reached_row(place, info, block)
         if TILED and 4 * size <= TILE_REALS:
             for a in range(NODES):
@@ -283,6 +285,9 @@ def sum_energies(reals, places, info, last_block, table, dx, layer_node, gravity
         params = load_row(table, row, PARAMETER_COLUMN, 0)
         base = base_node(info, block, layer_node)
         v = load_vector(reals, block, V_FIELD, lane)
+        if SHARED:
+            share = reals[block, SHARE_FIELD, lane]
+            mass, volume0 = share * mass, share * volume0
         x = cells_to_metres(along_axes(cells_of, load_vector(places, block, 0, lane)), base, dx)
         cuda.atomic.add(energies, (block, 0), 0.5 * mass * la.dot(v, v))
         cuda.atomic.add(energies, (block, 1), volume0 * law.energy(load_state(reals, block, STATE_FIELD, lane), params))

@@ -70,8 +70,8 @@ CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 # lets P2G tell volumes and divergences in place of masses and velocities.
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True
 BY_GRADIENT = True  # IMPULSE and not MLS
-DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = False
-FIELDS, V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 12, 2, 4, 8, 8, 8
+DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = SHARED = False
+FIELDS, V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, SHARE_FIELD, STATE_FIELD = 12, 2, 4, 8, 8, 8, 8
 DIVERGENCE_FIELD = 8
 body_force = no_force
 OFFSETS = (-1.0, 0.0, 1.0)
@@ -418,11 +418,11 @@ def store_column_3(table, at, A, axis):
 
 
 def store_constant_2(table, at, p, mass):
-    store_quads(table, at, p[0], p[1], in_all_lanes(real(0.0)), in_all_lanes(mass))
+    store_quads(table, at, p[0], p[1], in_all_lanes(real(0.0)), mass)
 
 
 def store_constant_3(table, at, p, mass):
-    store_quads(table, at, p[0], p[1], p[2], in_all_lanes(mass))
+    store_quads(table, at, p[0], p[1], p[2], mass)
 
 
 store_column, store_constant = store_column_2, store_constant_2
@@ -462,6 +462,9 @@ def momentum_block(
 ):  # fmt: skip
     """What the 16 particles of a block, of which the first `count` are there, give: quads of one vector per particle."""
     v = load_vector(reals, o + 16 * V_FIELD)
+    if SHARED:
+        share = load(reals, o + 16 * SHARE_FIELD)
+        mass, volume0 = share * mass, share * volume0
     if IMPULSE:
         state = load_state(reals, o + 16 * STATE_FIELD)
         tau = law.kirchhoff_stress(state, params)
@@ -480,7 +483,7 @@ def momentum_block(
             store(table, WORKS, load(table, WORKS) + where(lanes_below(count), gain, real(0.0)))
     if DIVERGENCE:
         mass, v = volume0, along_first(load(reals, o + 16 * DIVERGENCE_FIELD))
-    store_constant(table, QUAD_CONSTANT, la.scale_vector(mass, v), mass)
+    store_constant(table, QUAD_CONSTANT, la.scale_vector(mass, v), mass if SHARED else in_all_lanes(mass))
     if AFFINE:
         M = transfer.affine_momentum(mass, load_matrix(reals, o + 16 * C_FIELD), dx)
         if MLS:

@@ -138,6 +138,7 @@ class Needs:
     uses_reference: bool = False  # whether it reads X, or errors are measured at X
     loaded: bool = False  # whether particles carry an acceleration of their own
     open_axes: tuple[bool, ...] = ()  # which axes have a face that particles leave through; none if empty
+    shared: bool = False  # whether they carry a volume of their own, as a part of what their body gives
 
     @property
     def scheme(self):
@@ -151,7 +152,7 @@ class Needs:
     def carried(self, law):
         """Names of what particles of a law carry besides position, velocity and state."""
         carries = {"C": self.scheme.affine or law.viscous, "X": self.uses_reference, "load": self.loaded}
-        carries["divergence"] = self.f_bar
+        carries |= {"divergence": self.f_bar, "share": self.shared}
         return tuple(name for name, needed in carries.items() if needed)
 
     @property

@@ -41,9 +41,9 @@ BEFORE_RING = DIVERGENCE_RING = 0  # among the rings
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True  # see lane_loops
-DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = False
+DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = SHARED = False
 V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 2, 4, 8, 8, 8
-BY_GRADIENT, DIVERGENCE_FIELD = True, 8
+BY_GRADIENT, DIVERGENCE_FIELD, SHARE_FIELD = True, 8, 8
 body_force, along_first = loops.no_force, None
 
 
@@ -192,6 +192,9 @@ def carried(reals, block, lane, place, mass, volume0, params, base, dt, dx, inv_
     """What a particle brings to the nodes: (mass or what else is counted, momentum, affine momentum, stress, |b|^2 of the body
     force, work of what drives it in J). What a scene does not ask for is a dead value."""
     v = load_vector(reals, block, V_FIELD, lane)
+    if SHARED:
+        share = reals[block, SHARE_FIELD, lane]
+        mass, volume0 = share * mass, share * volume0
     counted, force, work = mass, real(0.0), real(0.0)
     if IMPULSE:
         state = load_state(reals, block, STATE_FIELD, lane)
@@ -261,6 +264,8 @@ def p2g(
                     scratch[FORCES] = max(scratch[FORCES], force)
                 if DRIVEN:
                     works[layer] += work
+                if SHARED:
+                    minus_impulse = -(reals[block, SHARE_FIELD, lane] * volume0 * dt) * inv_dx
                 i0 = centre_of(place[SLAB]) + PADDING
                 j0 = segments[s, 3] - corner[0] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0
                 k0 = segments[s, 4] - corner[1] + centre_of(place[ROW]) + PADDING
@@ -443,6 +448,9 @@ def sum_energies(
             for n in range(segments[s, 1]):
                 block, lane = segments[s, 0] + (n >> 4), n & 15
                 v = load_vector(reals, block, V_FIELD, lane)
+                if SHARED:
+                    share = reals[block, SHARE_FIELD, lane]
+                    mass, volume0 = share * table[row, MASS_COLUMN], share * table[row, VOLUME_COLUMN]
                 energies[layer, 0] += 0.5 * mass * la.dot(v, v)
                 energies[layer, 1] += volume0 * law.energy(load_state(reals, block, STATE_FIELD, lane), params)
                 x = cells_to_metres(along_axes(cells_of, load_vector(places, block, 0, lane)), base, dx)

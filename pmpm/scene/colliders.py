@@ -11,7 +11,7 @@ from pmpm.scene.forcing import Velocity, wrong_velocity
 from pmpm.scene.messages import Problem, Problems, value_text
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import FROM_PYTHON, function_or, record, refuse_record
-from pmpm.scene.shapes import Bounds, Shape, wrong_length
+from pmpm.scene.shapes import Bounds, Shape, region_misfits, wrong_length
 from pmpm.scene.values import (
     Checked,
     check_number,
@@ -179,7 +179,7 @@ class Collider(Part):
                 for problem in wrong_length(str(index), displacement, dim):
                     yield Problem(("path", "displacements", index), problem.text, problem.value)
         if self.shape is not None:
-            yield from (Problem(("shape", *p.path), p.text, p.value) for p in self.shape.misfits(dim))
+            yield from (Problem(("shape", *p.path), p.text, p.value) for p in region_misfits(self.shape, dim))
         else:
             yield from self.wrong_distance(dim)
 
@@ -220,7 +220,8 @@ class Collider(Part):
         """Return how far points (n, dim), m, are from its surface, (n,) m, negative inside, where it was at the start."""
         if self.shape is None:
             return np.asarray(self.distance(points, time), np.float64)
-        return self.shape.signed_distance(points)
+        shape: Any = self.shape
+        return shape.signed_distance(points)
 
     def normals(self, points: np.ndarray, time: float, cell_size: float) -> np.ndarray:
         """Return unit vectors (n, dim) along which the distance grows; upwards where it does not tell."""

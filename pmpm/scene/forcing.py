@@ -12,7 +12,7 @@ from pmpm.scene import functions
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import FROM_PYTHON, function_or, record, refuse_record
-from pmpm.scene.shapes import Shape, wrong_length
+from pmpm.scene.shapes import Shape, region_misfits, wrong_length
 from pmpm.scene.values import check_vector, checked, flag, vector, vector_told
 
 Path = tuple[str | int, ...]
@@ -74,7 +74,7 @@ class Load(Part):
         for name in ("force", "acceleration"):
             if getattr(self, name) is not None:
                 yield from wrong_length(name, getattr(self, name), dim)
-        yield from (Problem(("shape", *p.path), p.text, p.value) for p in self.shape.misfits(dim))
+        yield from (Problem(("shape", *p.path), p.text, p.value) for p in region_misfits(self.shape, dim))
 
 
 class Motion(Part):
@@ -87,7 +87,7 @@ class Motion(Part):
     def misfits(self, dim: int) -> Iterator[Problem]:
         """Yield what does not fit a scene of `dim` dimensions."""
         yield from wrong_velocity(self.velocity, dim)
-        yield from (Problem(("shape", *p.path), p.text, p.value) for p in self.shape.misfits(dim))
+        yield from (Problem(("shape", *p.path), p.text, p.value) for p in region_misfits(self.shape, dim))
 
     @field_serializer("velocity")
     def recorded_velocity(self, velocity: Any) -> Any:

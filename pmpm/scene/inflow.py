@@ -12,7 +12,7 @@ from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import record
 from pmpm.scene.seeding import lattice_range
-from pmpm.scene.shapes import AXES, Shape
+from pmpm.scene.shapes import AXES, Shape, region_misfits
 from pmpm.scene.values import number, text, whole
 
 LATER: Any = None  # filled in once the rest of the scene is known
@@ -48,7 +48,7 @@ class Inflow(Part):
     def misfits(self, dim: int) -> Iterator[Problem]:
         """Yield what does not fit a scene of `dim` dimensions."""
         yield from forcing.wrong_velocity(self.velocity, dim)
-        yield from (Problem(("shape", *p.path), p.text, p.value) for p in self.shape.misfits(dim))
+        yield from (Problem(("shape", *p.path), p.text, p.value) for p in region_misfits(self.shape, dim))
         count, along = self.lattice(dim)
         if along**dim != count:
             kind = "square" if dim == 2 else "cube"

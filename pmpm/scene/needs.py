@@ -7,7 +7,7 @@ import numpy as np
 
 from pmpm.kernels.loops import FARTHEST, SETTLED
 from pmpm.kernels.needs import Needs, law_needs
-from pmpm.scene import forcing
+from pmpm.scene import forcing, seeding
 from pmpm.scene.errors import SceneError
 from pmpm.state.grid import Geometry
 
@@ -48,6 +48,7 @@ def scene_needs(scene):
         uses_reference=scene.exact is not None or forcing.reads_reference(force),
         loaded=bool(scene.loads),
         open_axes=tuple(opened) if (opened := open_faces(scene).any(axis=1)).any() else (),
+        shared=any(seeding.gives_shares(body) for body in scene.bodies),
     )
 
 
@@ -73,7 +74,9 @@ def grid_geometry(scene, needs):
 
 def check_ids(scene):
     """Raise SceneError where there are more places for particles than numbers for them."""
-    places = math.prod(scene.cells) * sum(source.particles_per_cell for source in scene.sources)
+    places = sum(seeding.place_counts(scene)) + math.prod(scene.cells) * sum(
+        i.particles_per_cell for i in scene.inflows
+    )
     if places >= MOST_IDS:
         text = f"{float(places):.3g} places for particles in the domain, at most {float(MOST_IDS):.3g} can be numbered"
         raise SceneError(f"scene: domain.cell_size: {text}")
@@ -98,11 +101,10 @@ def law_table(scene, law):
     """
     dim = scene.dim
     rows: list[list[float] | None] = []
-    volume = scene.domain.cell_size**dim
     for source in scene.sources:
         if law_of_body(scene, source) == law:
             keys = scene.materials[source.material].parameters
-            volume0 = volume / source.particles_per_cell
+            volume0 = seeding.whole_volume(scene, source)
             rows.append([keys["density"] * volume0, volume0, keys["density"], *law.module.parameters(keys, dim)])
         else:
             rows.append(None)

@@ -32,13 +32,14 @@ def check_path(value: Any) -> str:
         raise Problems(Problem((), "must be the path of a file in quotes", value))
     path = Path(folder_of_scene.get() or ".", Path(value).expanduser()).absolute()
     try:
-        if not path.is_file():
-            text = "is a directory" if path.is_dir() else f"no such file: {path}"
-            raise Problems(Problem((), text, str(value)))
-        path.open("rb").close()
+        is_file, is_directory = path.is_file(), path.is_dir()
+        if is_file:
+            path.open("rb").close()
     except (OSError, ValueError) as error:
         text = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise Problems(Problem((), text, str(value))) from None
+    if not is_file:
+        raise Problems(Problem((), "is a directory" if is_directory else f"no such file: {path}", str(value)))
     return str(path)
 
 

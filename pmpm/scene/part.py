@@ -1,7 +1,7 @@
 """What all parts of a scene have in common: frozen, no unknown keys, complaints in our own words."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
@@ -9,10 +9,9 @@ from pmpm.scene.messages import Problem, Problems, known_text, scene_error
 
 
 class Part(BaseModel):
-    """A table of a scene. `PLANNED` names keys of the scene file that are not built yet."""
+    """A table of a scene."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    PLANNED: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, /, **keys: Any):
         try:
@@ -49,6 +48,4 @@ class Part(BaseModel):
 
     @classmethod
     def unknown_key(cls, key: Any, value: Any) -> Problem:
-        if key in cls.PLANNED:
-            return Problem((key,), "is not built yet", value, built=False)
         return Problem((str(key),), f"is not a known key; {known_text(key, tuple(cls.model_fields), 'known keys')}")

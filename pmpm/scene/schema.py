@@ -21,6 +21,7 @@ from pmpm.scene.materials import AnyMaterial, Material
 from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_error, value_text
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import record
+from pmpm.scene.seeding import SEEDINGS, fits_lattice
 from pmpm.scene.shapes import AXES, Shape, wrong_length
 from pmpm.scene.values import (
     CONTROLS,
@@ -204,7 +205,9 @@ class Method(Part):
     shape_function: Annotated[str, choice(tuple(STENCILS))] = Field(
         default="quadratic", description="B-spline of the grid"
     )
-    integrator: Annotated[str, choice(("explicit",))] = Field(default="explicit", description="time integration")
+    integrator: Annotated[str, choice(("explicit",), ("implicit",))] = Field(
+        default="explicit", description="time integration"
+    )
     precision: Annotated[str, choice(("float32", "float64"))] = Field(
         default="float64", description="of particles and grid"
     )
@@ -276,6 +279,9 @@ class Body(Part):
     particles_per_cell: Annotated[int, whole(1, 4096)] = Field(
         default=LATER,
         description="number of particles in a full cell, 4 in 2-D and 8 in 3-D if not given",
+    )
+    seeding: Annotated[str, choice(SEEDINGS)] = Field(
+        default=LATER, description="where particles are put: lattice, or jittered where their number fits none"
     )
     velocity: Annotated[Any, start.vector_field("m/s")] = Field(
         default=LATER, description="at the start, zero if not given; from Python also a function of position (m/s)"
@@ -538,9 +544,12 @@ class Scene(Part):
     def complete_body(self, body: Body) -> Body:
         count = 2**self.dim if body.particles_per_cell is None else body.particles_per_cell
         velocity = (0.0,) * self.dim if body.velocity is None else body.velocity
-        return body.model_copy(
-            update={"particles_per_cell": count, "velocity": velocity, "stress": self.complete_stress(body)}
-        )
+        if body.shape.type == "particles":
+            places = None
+        else:
+            places = body.seeding or ("lattice" if fits_lattice(count, self.dim) else "jittered")
+        known = {"particles_per_cell": count, "seeding": places, "velocity": velocity}
+        return body.model_copy(update=known | {"stress": self.complete_stress(body)})
 
     def complete_inflow(self, inflow: Inflow) -> Inflow:
         count = 2**self.dim if inflow.particles_per_cell is None else inflow.particles_per_cell
@@ -573,6 +582,14 @@ class Scene(Part):
         yield from self.wrong_material(body, here)
         if body.material in self.materials:
             yield from self.wrong_pressure(body, here)
+        count = body.particles_per_cell
+        if body.seeding and body.shape.type == "particles":
+            yield Problem((*here, "seeding"), "belongs to shapes that are filled, not to particles", body.seeding)
+        if body.seeding in ("lattice", "quadrature") and count and not fits_lattice(count, self.dim):
+            side = int(count ** (1 / self.dim))
+            nearest = f"{side**self.dim} and {(side + 1) ** self.dim}"
+            text = f"fits no lattice, for seeding = {value_text(body.seeding)}; the nearest that do are {nearest}"
+            yield Problem((*here, "particles_per_cell"), text, count)
         for problem in start.wrong_start(body, self.dim):
             yield Problem((*here, *problem.path), problem.text, problem.value)
         misfits = body.shape.misfits(self.dim)
@@ -604,9 +621,12 @@ class Scene(Part):
         size = np.array(self.domain.size)
         low, high = body.shape.bounds()
         beyond = (low < -ROUNDING * size) | (high > (1.0 + ROUNDING) * size)
+        advice = body.shape.advice(self.domain.size) if beyond.any() and hasattr(body.shape, "advice") else ""
         for axis in np.flatnonzero(beyond):
             reach = f"from {low[axis]:.10g} to {high[axis]:.10g} m along {AXES[axis]}"
-            yield Problem(path, f"reaches out of the domain: {reach}, the domain from 0 to {size[axis]:.10g} m")
+            text = f"reaches out of the domain: {reach}, the domain from 0 to {size[axis]:.10g} m{advice}"
+            yield Problem(path, text)
+            advice = ""
 
     def wrong_pressure(self, body: Body, here: tuple[str | int, ...]) -> Iterator[Problem]:
         """Yield what keeps a weight from being the stress that a body starts with."""
@@ -629,6 +649,9 @@ class Scene(Part):
         shapes = [other.shape for other in self.bodies[index:]]
         for problem in start.wrong_functions(body, shapes, law):
             yield Problem(("bodies", index, *problem.path), problem.text, problem.value)
+        if body.shape.type == "particles":
+            for problem in start.wrong_file(body, law):
+                yield Problem(("bodies", index, "shape", *problem.path), problem.text, problem.value)
         if body.stress is not None:
             gravity, surface = self.domain.gravity, body.stress.depth_from or 0.0
             tried = geostatic.depths(body.shape, gravity, surface, DEPTHS)

@@ -1,24 +1,40 @@
 """Fill the bodies of a scene with particles: each rank only the layers it owns, the same particles for any rank count."""
 
+import math
 from dataclasses import dataclass
+from functools import cache, partial
+from itertools import product
 
 import numpy as np
 
 from pmpm.scene.colliders import cut_out
+from pmpm.scene.shapes import leaves_of
+from pmpm.state.fields import SHARE_STEPS
 
 PLACES = 1 << 17  # that are tried at a time
+SEEDINGS = ("lattice", "jittered", "poisson_disk", "quadrature")
+TRIED = 64  # places of a particle's part of a cell, of which is asked how many lie in the body
+TILE_PLACES, CANDIDATES = 1024, 32  # of the pattern that poisson_disk repeats
 
 
 @dataclass
 class Seeds:
-    """Particles of one body on one rank: node (n, dim) home nodes, offset (n, dim) from them in cells, id (n,)."""
+    """Particles of one body on one rank: node (n, dim) home nodes, offset (n, dim) from them in cells, id (n,), and share (n,)
+    of a whole particle's volume, None where all are whole."""
 
     node: np.ndarray
     offset: np.ndarray
     id: np.ndarray
+    share: np.ndarray | None = None
 
     def take(self, index):
-        return Seeds(self.node[index], self.offset[index], self.id[index])
+        share = None if self.share is None else self.share[index]
+        return Seeds(self.node[index], self.offset[index], self.id[index], share)
+
+    @property
+    def whole(self):
+        """How many whole particles these are: exact in any order up to 2^53 steps of shares."""
+        return float(len(self.id)) if self.share is None else float(self.share.sum())
 
 
 @dataclass(frozen=True)
@@ -62,6 +78,126 @@ def jittered(cells, particles_per_cell, body):
     return ((bits >> np.uint64(11)) * 2.0**-53).reshape(len(cells), particles_per_cell, cells.shape[1])
 
 
+def fits_lattice(particles_per_cell, dim):
+    """Whether a lattice has so many places in a cell."""
+    return lattice(particles_per_cell, dim) is not None
+
+
+def gives_shares(body):
+    """Whether particles of a body carry a part of a whole particle's volume each."""
+    return body.seeding == "quadrature" or (body.shape.type == "particles" and file_shares(body.shape) is not None)
+
+
+def file_shares(shape):
+    """(n,) of the particles of a file, in whole SHARE_STEPS; None where all have the same volume."""
+    given = shape.volume if shape.volume is not None else shape.field("share")
+    if given is None or np.ptp(given) == 0.0:
+        return None
+    steps = np.rint(given.reshape(-1) * (SHARE_STEPS / (1.0 if shape.volume is None else given.max())))
+    return np.maximum(steps, 1.0) / SHARE_STEPS
+
+
+def whole_volume(scene, body):
+    """Volume in m3 (2-D: m2) of a particle of a body whose share is 1."""
+    if body.shape.type == "particles" and body.shape.volume is not None:
+        return float(body.shape.volume.max())
+    return scene.domain.cell_size**scene.dim / body.particles_per_cell
+
+
+def place_counts(scene):
+    """[of each body the number of places that particles could have]: ids number them."""
+    cells = math.prod(scene.cells)
+    return [len(b.shape.x) if b.shape.type == "particles" else cells * b.particles_per_cell for b in scene.bodies]
+
+
+@cache
+def spread_tile(particles_per_cell, dim):
+    """(cells, ..., cells, particles_per_cell, dim) places in the cells of a tile that repeats, no two close to each other, as
+    many in each cell: of CANDIDATES random ones in the cell each time the one farthest from all before (Mitchell 1991)."""
+    side = max(1, int((TILE_PLACES / particles_per_cell) ** (1.0 / dim)))
+    cells = np.stack(np.meshgrid(*[np.arange(side)] * dim, indexing="ij"), -1).reshape(-1, dim)
+    found = np.zeros((len(cells) * particles_per_cell, dim))
+    owner, which = np.zeros((2, len(found)), np.int64)
+    count = 0
+    for k in range(particles_per_cell):
+        for cell in np.argsort(scrambled(np.arange(len(cells), dtype=np.uint64) + np.uint64(977 * (k + 1)))):
+            tried = cells[cell] + jittered(cells[cell : cell + 1], CANDIDATES, k + 1)[0]
+            far = np.abs(tried[:, None, :] - found[:count])
+            far = np.minimum(far, side - far)
+            nearest = (far * far).sum(axis=2).min(axis=1, initial=np.inf)
+            found[count], owner[count], which[count] = tried[np.argmax(nearest)], cell, k
+            count += 1
+    tile = np.zeros((len(cells), particles_per_cell, dim))
+    tile[owner, which] = found - cells[owner]
+    return tile.reshape(*[side] * dim, particles_per_cell, dim)
+
+
+def places_in_cells(body, number, cells):
+    """(n, particles_per_cell, dim) places, in cells, of whole particles of body `number` in each of the cells (n, dim)."""
+    count, dim = body.particles_per_cell, cells.shape[1]
+    if body.seeding == "jittered":
+        return jittered(cells, count, number)
+    if body.seeding == "poisson_disk":
+        tile = spread_tile(count, dim)
+        return tile[tuple((cells % len(tile)).T)]
+    regular = lattice(count, dim)
+    return np.broadcast_to(regular, (len(cells), *regular.shape))
+
+
+def spread_places(count, dim):
+    """(count, dim) places spread evenly over the unit square or cube, always the same: multiples of powers of the root of
+    x^(dim + 1) = x + 1 (M. Roberts 2018, a generalisation of the golden ratio)."""
+    root = 1.32471795724474602596 if dim == 2 else 1.22074408460575947536
+    return np.modf(np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, dim + 1.0))[0]
+
+
+def cut_places(bodies, colliders, cells, per_axis, cell_size, number):
+    """((n, count, dim) places in cells, (n, count) shares of whole particles) of body `number` in cells (n, dim): each is cut
+    into per_axis^dim parts, each a particle. A part of which all corners and the middle lie inside, and to which no surface
+    of a mesh comes near, is whole; of others TRIED places are asked: how many lie inside is the share, and the middle of those
+    the place. `bodies`: this one, and then those that take away from it.
+
+    What a particle is depends on its cell and the body alone. The places are those of a sequence that fills the part evenly,
+    shifted by random numbers of the part, so that of a flat face not all parts are wrong by the same.
+    """
+    dim, inside = cells.shape[1], partial(lies_in, bodies, colliders)
+    corners = np.stack(np.meshgrid(*[np.arange(per_axis + 1) / per_axis] * dim, indexing="ij"), -1)
+    middles = lattice(per_axis**dim, dim)
+    probes = np.concatenate([corners.reshape(-1, dim), middles])
+    held = asked(inside, (cells[:, None, :] + probes) * cell_size)
+    at_corners = held[:, : -len(middles)].reshape(len(cells), *corners.shape[:-1])
+    ends = [
+        at_corners[(slice(None), *(slice(end, per_axis + end) for end in corner))]
+        for corner in product((0, 1), repeat=dim)
+    ]
+    known = [held[:, -len(middles) :], *(end.reshape(len(cells), -1) for end in ends)]
+    whole, some = np.all(known, axis=0), np.any(known, axis=0)
+    places = np.broadcast_to(middles, (len(cells), *middles.shape)).copy()
+    share = whole.astype(float)
+    cut = some & ~whole
+    for _, shape in (leaf for body in bodies for leaf in leaves_of(body.shape)):
+        if hasattr(shape, "near"):
+            reach = 0.5 * np.sqrt(dim) * cell_size / per_axis
+            cut |= asked(partial(shape.near, reach=reach), (cells[:, None, :] + middles) * cell_size)
+    cell, part = np.nonzero(cut)
+    within, shift = spread_places(TRIED, dim), jittered(cells, len(middles), number)
+    step = max(1, PLACES // TRIED)
+    for first in range(0, len(cell), step):
+        c, p = cell[first : first + step], part[first : first + step]
+        tried = middles[p][:, None, :] + (np.modf(within + shift[c, p][:, None, :])[0] - 0.5) / per_axis
+        found = asked(inside, (cells[c][:, None, :] + tried) * cell_size)
+        count = found.sum(axis=1)
+        share[c, p] = count / TRIED
+        mean = (tried * found[:, :, None]).sum(axis=1) / np.maximum(count, 1)[:, None]
+        places[c, p] = np.where(((count > 0) & (count < TRIED))[:, None], mean, middles[p])
+    return places, share
+
+
+def asked(inside, x):
+    """What `inside` says of places (n, k, dim): bool (n, k)."""
+    return inside(x.reshape(-1, x.shape[-1])).reshape(x.shape[:-1])
+
+
 def scrambled(z):
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -70,8 +206,7 @@ def scrambled(z):
 
 def id_offsets(scene):
     """First id of each body: ids number all places a body could fill in the domain, so that they may have gaps."""
-    cells = int(np.prod([np.int64(n) for n in scene.cells]))
-    return np.concatenate([[0], np.cumsum([cells * body.particles_per_cell for body in scene.bodies])]).astype(np.int64)
+    return np.concatenate([[0], np.cumsum(place_counts(scene))]).astype(np.int64)
 
 
 def seed(scene, geometry, number, groups, around):
@@ -108,6 +243,9 @@ def seed_planes(scene, geometry, number, first_layer, last_layer, around):
     `around`: the Surroundings of all bodies.
     """
     slab, body = geometry.axes[0], scene.bodies[number]
+    if body.shape.type == "particles":
+        yield from seed_file(geometry, body.shape, around.first_id[number], first_layer, last_layer)
+        return
     first_id, later = around.first_id[number], meeting_later_bodies(scene, number, around)
     first_cell, last_cell = around.first[number], around.last[number]
     widths = np.maximum(last_cell - first_cell, 0)
@@ -131,6 +269,26 @@ def seed_planes(scene, geometry, number, first_layer, last_layer, around):
             within = np.unravel_index(np.arange(first, min(first + piece, in_plane)), widths)
             cells = corner + np.stack(within, -1)
             yield told, seed_cells(scene, geometry, number, cells, first_id, lowest, highest, later)
+
+
+def seed_file(geometry, shape, first_id, first_layer, last_layer):
+    """Yield (layer, Seeds) of particles out of a file in these layers, one layer after another."""
+    cells, share = shape.x / geometry.cell_size, file_shares(shape)
+    home = np.floor(cells + geometry.stencil.round)
+    for axis in range(geometry.dim):
+        if not geometry.periodic[axis]:  # what stands on a wall belongs to the last node inside
+            home[:, axis] = np.clip(home[:, axis], 0, geometry.homes(axis) - 1)
+    offset, node = cells - home, home.astype(np.int32)
+    for axis in range(geometry.dim):
+        if geometry.periodic[axis]:
+            node[:, axis] %= geometry.cells[axis]
+    layer = node[:, geometry.axes[0]]
+    here = np.flatnonzero((layer >= first_layer) & (layer < last_layer))
+    here = here[np.argsort(layer[here], kind="stable")]
+    for one in np.split(here, np.flatnonzero(np.diff(layer[here])) + 1):
+        if len(one):
+            shares = None if share is None else share[one]
+            yield int(layer[one[0]]), Seeds(node[one], offset[one], first_id + one, shares)
 
 
 def surrounding_cells(scene, body):
@@ -159,8 +317,13 @@ def meeting_later_bodies(scene, number, around):
 def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer, later_bodies):
     """Seeds of body `number` in these cells, as far as they lie in the layers and in none of the later bodies."""
     body, count = scene.bodies[number], scene.bodies[number].particles_per_cell
-    places = lattice(count, geometry.dim)
-    places = jittered(cells, count, number) if places is None else np.broadcast_to(places, (len(cells), *places.shape))
+    bodies = [body, *later_bodies]
+    share = None
+    if body.seeding == "quadrature":
+        per_axis = round(count ** (1 / geometry.dim))
+        places, share = cut_places(bodies, scene.colliders, cells, per_axis, geometry.cell_size, number)
+    else:
+        places = places_in_cells(body, number, cells)
     cell_number = np.ravel_multi_index(tuple(cells.T), geometry.cells).astype(np.int64)
     ids = (first_id + cell_number[:, None] * count + np.arange(count)).reshape(-1)
     step = np.floor(places + geometry.stencil.round)
@@ -171,14 +334,22 @@ def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer
             node[:, axis] %= geometry.cells[axis]
     layer = node[:, geometry.axes[0]]
     here = np.flatnonzero((layer >= first_layer) & (layer < last_layer))
-    x = ((cells[:, None, :] + places).reshape(-1, geometry.dim)[here]) * geometry.cell_size
-    inside = body.shape.contains(x)
-    for later in later_bodies:
-        inside &= ~later.shape.contains(x)
-    if scene.colliders:
-        inside &= ~cut_out(scene.colliders, x)
-    here = here[inside]
-    return Seeds(node[here].astype(np.int32), offset[here], ids[here])
+    if share is None:
+        x = (cells[:, None, :] + places).reshape(-1, geometry.dim)[here] * geometry.cell_size
+        here = here[lies_in(bodies, scene.colliders, x)]
+        return Seeds(node[here].astype(np.int32), offset[here], ids[here])
+    here = here[share.reshape(-1)[here] > 0.0]
+    return Seeds(node[here].astype(np.int32), offset[here], ids[here], share.reshape(-1)[here])
+
+
+def lies_in(bodies, colliders, x):
+    """(n,) whether places x (n, dim) in m lie in the first body and in none of the others, nor in what cuts bodies."""
+    found = bodies[0].shape.contains(x)
+    for later in bodies[1:]:
+        found &= ~later.shape.contains(x)
+    if colliders:
+        found &= ~cut_out(colliders, x)
+    return found
 
 
 def places_of(scene, ids):
@@ -186,20 +357,34 @@ def places_of(scene, ids):
     offsets = id_offsets(scene)
     body = np.searchsorted(offsets, ids, side="right") - 1
     counts = np.array([b.particles_per_cell for b in scene.bodies], np.int64)[body]
-    cell_number, which = np.divmod(ids - offsets[body], counts)
+    from_file = np.array([b.shape.type == "particles" for b in scene.bodies])[body]
+    cell_number, which = np.divmod(np.where(from_file, 0, ids - offsets[body]), counts)
     cell = np.stack(np.unravel_index(cell_number, scene.cells), axis=-1).astype(np.int64)
     place = np.zeros((len(ids), scene.dim))
     for number in np.unique(body):
-        rows, count = np.flatnonzero(body == number), scene.bodies[number].particles_per_cell
-        regular = lattice(count, scene.dim)
-        if regular is None:
-            place[rows] = jittered(cell[rows], count, number)[np.arange(len(rows)), which[rows]]
+        rows = np.flatnonzero(body == number)
+        own = scene.bodies[number]
+        if own.shape.type == "particles":
+            x = own.shape.x[ids[rows] - offsets[number]] / scene.domain.cell_size
+            cell[rows] = np.clip(np.floor(x), 0, np.array(scene.cells) - 1)
+            place[rows] = x - cell[rows]
+            continue
+        if own.seeding == "quadrature":
+            bodies = [own, *meeting_later_bodies(scene, number, surroundings(scene))]
+            per_axis = round(own.particles_per_cell ** (1 / scene.dim))
+            cut, back = np.unique(cell[rows], axis=0, return_inverse=True)
+            places, _ = cut_places(bodies, scene.colliders, cut, per_axis, scene.domain.cell_size, number)
+            place[rows] = places[back.reshape(-1), which[rows]]
         else:
-            place[rows] = regular[which[rows]]
+            place[rows] = places_in_cells(own, number, cell[rows])[np.arange(len(rows)), which[rows]]
     return body, cell, place
 
 
 def joined(parts, dim):
     if not parts:
         return Seeds(np.zeros((0, dim), np.int32), np.zeros((0, dim)), np.zeros(0, np.int64))
-    return Seeds(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("node", "offset", "id")))
+    node, offset, id = (np.concatenate([getattr(part, name) for part in parts]) for name in ("node", "offset", "id"))
+    if all(part.share is None for part in parts):
+        return Seeds(node, offset, id)
+    shares = [np.ones(len(part.id)) if part.share is None else part.share for part in parts]
+    return Seeds(node, offset, id, np.concatenate(shares))

@@ -1,17 +1,18 @@
 """Shapes that bodies are cut from: which points they hold, where they end. Dimension enters only at validation."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from pmpm.scene.messages import TAG, Problem, Problems, known_text
+from pmpm.scene.mesh import Mesh, Particles
+from pmpm.scene.messages import TAG, Problem, Problems, known_text, path_text
 from pmpm.scene.part import Part
 from pmpm.scene.terrain import Terrain
 from pmpm.scene.values import check_vector, check_word, checked, either, number, tables, vector, vector_told
 
 AXES = ("x", "y", "z")
-PLANNED_SHAPES = ("mesh", "particles")
 
 Bounds = tuple[np.ndarray, np.ndarray]
 
@@ -227,7 +228,7 @@ class Union(Part):
 
     def signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Return a bound of how far points (n, dim), m, are from the surface, (n,) m: exact in sign, negative inside."""
-        return np.min([shape.signed_distance(points) for shape in self.of], axis=0)
+        return np.min(distances(self.of, points), axis=0)
 
     def bounds(self) -> Bounds:
         """Return the corners (low, high) of the surrounding box, (dim,) each, m."""
@@ -254,8 +255,8 @@ class Difference(Part):
 
     def signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Return a bound of how far points (n, dim), m, are from the surface, (n,) m: exact in sign, negative inside."""
-        taken = [-shape.signed_distance(points) for shape in self.of[1:]]
-        return np.max([self.of[0].signed_distance(points), *taken], axis=0)
+        first, *taken = distances(self.of, points)
+        return np.max([first, *(-distance for distance in taken)], axis=0)
 
     def bounds(self) -> Bounds:
         """Return the corners (low, high) of the box around the first shape, (dim,) each, m."""
@@ -278,7 +279,7 @@ class Intersection(Part):
 
     def signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Return a bound of how far points (n, dim), m, are from the surface, (n,) m: exact in sign, negative inside."""
-        return np.max([shape.signed_distance(points) for shape in self.of], axis=0)
+        return np.max(distances(self.of, points), axis=0)
 
     def bounds(self) -> Bounds:
         """Return the corners (low, high), (dim,) each, m, of what all boxes share; low >= high if nothing."""
@@ -295,6 +296,7 @@ class Intersection(Part):
 
 
 SHAPES = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "capsule": Capsule, "plane": Plane, "terrain": Terrain}
+SHAPES |= {"mesh": Mesh, "particles": Particles}
 SHAPES |= {"union": Union, "difference": Difference, "intersection": Intersection}
 
 
@@ -306,7 +308,7 @@ def check_shape(value: Any) -> Any:
         raise Problems(Problem((), f"must be a table with a type; {known_text('', SHAPES, 'known')}", value))
     if "type" not in value:
         raise Problems(Problem(("type",), f"is missing; {known_text('', SHAPES, 'known')}"))
-    check_word(value["type"], SHAPES, PLANNED_SHAPES, ("type",))
+    check_word(value["type"], SHAPES, path=("type",))
     return value
 
 
@@ -321,6 +323,8 @@ Shape = Annotated[
     | Annotated[Capsule, Tag(TAG + "capsule")]
     | Annotated[Plane, Tag(TAG + "plane")]
     | Annotated[Terrain, Tag(TAG + "terrain")]
+    | Annotated[Mesh, Tag(TAG + "mesh")]
+    | Annotated[Particles, Tag(TAG + "particles")]
     | Annotated[Union, Tag(TAG + "union")]
     | Annotated[Difference, Tag(TAG + "difference")]
     | Annotated[Intersection, Tag(TAG + "intersection")],
@@ -339,10 +343,38 @@ def wrong_length(key: str, value: tuple[float, ...], dim: int) -> list[Problem]:
     return [Problem((key,), f"must have {dim} numbers like domain.size", list(value))]
 
 
+def leaves_of(shape: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """Yield (path, shape) of the shapes without shapes within that a shape is made of."""
+    if not hasattr(shape, "of"):
+        yield path, shape
+        return
+    for index, part in enumerate(shape.of):
+        yield from leaves_of(part, (*path, "of", index))
+
+
+def shapes_in(scene: Any) -> Iterator[tuple[str, Any]]:
+    """Yield (dotted key, shape) of all shapes of a scene that have none within."""
+    for key in ("bodies", "inflows", "loads", "motions", "colliders"):
+        for index, part in enumerate(part for part in getattr(scene, key) if part.shape is not None):
+            yield from ((path_text((key, index, "shape", *path)), shape) for path, shape in leaves_of(part.shape))
+
+
+def distances(shapes: tuple[Any, ...], points: np.ndarray) -> list[np.ndarray]:
+    """Return the signed distances (n,) of points to each of the shapes."""
+    return [shape.signed_distance(points) for shape in shapes]
+
+
 def misfits_of(shapes: tuple[Any, ...], dim: int) -> list[Problem]:
     """List what does not fit in shapes within a shape, with their paths."""
     return [
         Problem(("of", index, *problem.path), problem.text, problem.value)
         for index, shape in enumerate(shapes)
-        for problem in shape.misfits(dim)
+        for problem in region_misfits(shape, dim)
     ]
+
+
+def region_misfits(shape: Any, dim: int) -> list[Problem]:
+    """List what does not fit where points are asked for that lie in a shape."""
+    if shape.type == "particles":
+        return [Problem(("type",), "can only be the whole shape of a body", shape.type)]
+    return shape.misfits(dim)

@@ -18,6 +18,7 @@ from pmpm.scene.functions import Unfit
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.recorded import function_or
 from pmpm.scene.values import Checked, check_vector, checked, number_told, vector_told
+from pmpm.state.fields import Layout
 
 TRIED = 5  # places; not a number of dimensions, so that rows and columns cannot be confused
 CANDIDATES = 4096
@@ -167,6 +168,62 @@ def deformed_states(law: ArrayLaw, deformation: Any, X: np.ndarray) -> np.ndarra
             "det F must be > 0"
         )
     return states
+
+
+def fields_of_file(shape: Any, needs: Any) -> list[str]:
+    """Return the names of what a file of particles says about the state of a law: F, from which any state follows, and the
+    law's own variables."""
+    return [name for name in dict.fromkeys(("F", *needs.state)) if shape.field(name) is not None]
+
+
+def states_of_file(law: ArrayLaw, shape: Any, numbers: np.ndarray) -> np.ndarray:
+    """Return the states (n, size) of the particles of a file with these numbers. Raises Unfit."""
+    dim, count = law.dim, len(numbers)
+    F = np.broadcast_to(np.eye(dim), (count, dim, dim))
+    if shape.field("F") is not None:
+        F = sized(shape.field("F")[numbers], dim * dim, "F").reshape(count, dim, dim)
+    states, layout = law.state_at(F), Layout.of(law.needs, dim)
+    for name in law.needs.state:
+        where, values = layout.where(name), shape.field(name)
+        if values is not None and where is not None:
+            inside = slice(where.start - layout.state_first, where.stop - layout.state_first)
+            states[:, inside] = sized(values[numbers], where.stop - where.start, name)
+    wrong = np.flatnonzero(~law.valid(states))
+    if len(wrong):
+        raise Unfit(f"holds no state of {law.needs.model} for particle {numbers[wrong[0]]}")
+    return states
+
+
+def sized(values: np.ndarray, size: int, name: str) -> np.ndarray:
+    """Values (n, size) of a field, of tensors of space the four of the plane. Raises Unfit for another size."""
+    if values.shape[1] == 9 and size == 4:
+        values = values[:, [0, 1, 3, 4]]
+    if values.shape[1] != size:
+        raise Unfit(f"has {values.shape[1]} numbers for {name} of a particle, not {size}")
+    return values
+
+
+def wrong_file(body: Any, law: ArrayLaw) -> Iterator[Problem]:
+    """Yield what does not fit in what a file says about the particles of a body, with paths within its shape."""
+    shape = body.shape
+    velocity = shape.field("velocity")
+    if velocity is not None and velocity.shape[1] < law.dim:
+        yield Problem(("file",), f"has {velocity.shape[1]} numbers for the velocity of a particle", shape.file)
+    told = fields_of_file(shape, law.needs)
+    turned = [name for name in told if shape.field(name).shape[1] > 1]
+    if turned and shape.rotate is not None:
+        text = f"turns places and velocities, not {', '.join(turned)}: leave them out of fields, or turn the file"
+        yield Problem(("rotate",), text, shape.rotate)
+    others = [key for key in ("deformation", "stress") if getattr(body, key) is not None]
+    others += ["pressure"] if body.pressure != "zero" else []
+    if told and others:
+        text = f"says in which state the particles start ({', '.join(told)}), and so does {others[0]}: leave one out"
+        yield Problem(("fields",), text)
+    elif told:
+        try:
+            states_of_file(law, shape, np.arange(len(shape.x)))
+        except Unfit as complaint:
+            yield Problem(("file",), str(complaint), shape.file)
 
 
 def wrong_start(body: Any, dim: int) -> Iterator[Problem]:

@@ -73,6 +73,17 @@ def short_told(words: Collection[str]) -> Callable[[Told], Told]:
     return lambda table: either({"enum": [word for word in words if word != "friction"]}, table)
 
 
+def number_or_vector(unit: str = "-", **bounds: float | None) -> Checked:
+    """Accept one finite number, or two or three, each within `bounds`."""
+    one, several = check_number(unit, None, **bounds), check_vector(unit, **bounds)
+
+    def check(value: Any) -> Any:
+        value = plain(value)
+        return several(value) if isinstance(value, list | tuple) else one(value)
+
+    return checked(check, either(number_told(unit, **bounds), vector_told(unit, **bounds)))
+
+
 def check_number(unit: str, only: float | None = None, **bounds: float | None) -> Check:
     allowed = range_text(unit, **bounds)
 

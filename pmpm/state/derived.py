@@ -69,10 +69,15 @@ class DerivedFields:
         return np.zeros(len(self.population)) if C is None else np.sqrt((C * C).sum(axis=1))
 
     def mass(self):
-        return self.row_values[:, MASS]
+        return self.shared(self.row_values[:, MASS])
 
     def volume0(self):
-        return self.row_values[:, VOLUME0]
+        return self.shared(self.row_values[:, VOLUME0])
+
+    def shared(self, whole):
+        """Of each particle its share of what a whole one has, where particles carry shares."""
+        share = self.field("share")
+        return whole if share is None else whole * share[:, 0]
 
     def J(self):
         return self.evaluate("volume_ratio")

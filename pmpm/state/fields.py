@@ -48,6 +48,8 @@ class Field:
         return values
 
 
+SHARE_STEPS = 1 << 24  # shares are whole numbers of these, so that sums of them are exact, in float32 too
+
 COMMON = (
     Field("x", "vector", "cells", "position, as a place (see kernels.places); files and users see metres"),
     Field("v", "vector", "m/s", "velocity"),
@@ -58,6 +60,9 @@ OPTIONAL = (
     Field("X", "vector", "m", "reference position, which a body force or an exact solution asks for"),
     Field("divergence", "scalar", "1/s", "of the velocity in this step, which F-bar averages"),
     Field("load", "vector", "m/s2", "acceleration by the loads of the scene"),
+    Field(
+        "share", "scalar", "-", "mass and volume as a part of those of a whole particle of its body, in steps of 2^-24"
+    ),
 )
 
 OUTPUT = (

@@ -31,6 +31,10 @@ from pmpm.scene.watched import MAPS
 from pmpm.state.fields import OUTPUT_NAMES
 
 ROWS = [row for row in agreement.PAIRS + agreement.SINGLE if row["material"] != "breaking"]  # a file holds no functions
+MESHES = {
+    dim: Path(__file__).with_name(name) for dim, name in ((2, "square.obj"), (3, "cube.obj"))
+}  # 2 wide, one group
+POINTS = MESHES | {3: MESHES[3].with_name("points.csv")}
 OWN_KERNELS = [next(row for row in ROWS if row["dim"] == dim) for dim in (2, 3)]
 ELASTIC = ("neo_hookean", "hencky", "fixed_corotated")
 CELL_SIZES = (0.05, 1e-3, 20.0)
@@ -88,7 +92,7 @@ def scenes(draw, row=None, telling=0):
     }
     names = list(materials)
     bodies = [
-        draw(body(name, materials[name], cells, long, half, h, gravity))
+        draw(body(name, materials[name], cells, long, half, h, gravity, own_kernels))
         for half, name in enumerate((names * 2)[: draw(st.integers(max(1, min(2, len(names))), 2))])
     ]
     table = {
@@ -224,6 +228,7 @@ def shape(draw, cells, long, half, dim):
         "union": {"type": "union", "of": [ball, box]},
         "intersection": {"type": "intersection", "of": [box, ball]},
         "difference": {"type": "difference", "of": [box, {"type": "sphere", "center": box["max"], "radius": 0.7}]},
+        "mesh": draw(mesh(dim, center)),
     }
     if dim == 3:
         axis = draw(st.sampled_from(("x", "y", "z")) | st.just([1.0, -2.0, 0.5]))
@@ -232,9 +237,39 @@ def shape(draw, cells, long, half, dim):
     return kinds[draw(st.sampled_from(sorted(kinds)))]
 
 
+@st.composite
+def points(draw, cells, long, half):
+    """A few particles out of a file: of the cells of the square, in space those of a table."""
+    dim = len(cells)
+    table = draw(mesh(dim, [cells[axis] * (0.25 + 0.5 * half if axis == long else 0.5) for axis in range(dim)]))
+    fields = draw(maybe(st.just([]) if dim == 2 else st.sampled_from(([], ["velocity"]))))
+    table |= {
+        "type": "particles",
+        "file": str(POINTS[dim]),
+        "fields": fields,
+        "checksum": draw(maybe(st.just(checksum(str(POINTS[dim]))))),
+    }
+    return table if dim == 2 else table | {"group": None}
+
+
+@st.composite
+def mesh(draw, dim, center):
+    """A cube or square out of a file, turned as it likes; it is 2 wide there, and its middle at the origin."""
+    path = str(MESHES[dim])
+    return {
+        "type": "mesh",
+        "file": path,
+        "checksum": draw(maybe(st.just(checksum(path)))),
+        "group": draw(maybe(st.just("all"))),
+        "scale": draw(between(0.8, 1.5) | vectors(0.8, 1.5, dim)),
+        "rotate": draw(maybe(vectors(-180.0, 180.0, 3) if dim == 3 else between(-180.0, 180.0))),
+        "move": center,
+    }
+
+
 def in_metres(table, h):
     """A shape given in cells, in metres."""
-    lengths = ("min", "max", "center", "radius", "height", "start", "end", "point")
+    lengths = ("min", "max", "center", "radius", "height", "start", "end", "point", "scale", "move")
     return {
         key: scaled(value, h) if key in lengths else [in_metres(s, h) for s in value] if key == "of" else value
         for key, value in table.items()
@@ -242,15 +277,21 @@ def in_metres(table, h):
 
 
 @st.composite
-def body(draw, name, table, cells, long, half, h, gravity):
+def body(draw, name, table, cells, long, half, h, gravity, own_kernels):
     dim, law = len(cells), LAWS[table["model"]]
+    count = draw(maybe(st.sampled_from((3, 4, 5) if dim == 2 else (4, 6, 8))))
+    seedings = ["jittered", "poisson_disk", *(["lattice"] if count in (None, 2**dim) else [])]
+    seedings += ["quadrature"] if own_kernels and count in (None, 2**dim) else []
     made = {
         "material": name,
-        "shape": in_metres(draw(shape(cells, long, half, dim)), h),
-        "particles_per_cell": draw(maybe(st.sampled_from((3, 4, 5) if dim == 2 else (4, 6, 8)))),
+        "shape": in_metres(draw(st.one_of(*[shape(cells, long, half, dim)] * 5, points(cells, long, half))), h),
+        "particles_per_cell": count,
+        "seeding": draw(maybe(st.sampled_from(seedings))),
         "velocity": draw(maybe(vectors(-0.2, 0.2, dim) | st.just([0] * dim))),
         "displacement": draw(maybe(vectors(-0.3 * h, 0.3 * h, dim))),
     }
+    if made["shape"]["type"] == "particles":
+        made["seeding"] = None
     starts = ["", "", "deformation"]
     if gravity is not None and sum(value != 0.0 for value in gravity) == 1:
         starts += ["hydrostatic"] * 3 if hasattr(law, "hydrostatic_state") else []
@@ -276,7 +317,9 @@ def body(draw, name, table, cells, long, half, h, gravity):
 @st.composite
 def load(draw, bodies, dim):
     kind = draw(st.sampled_from(("force", "acceleration")))
-    return {"shape": copy.deepcopy(draw(st.sampled_from(bodies))["shape"]), kind: draw(vectors(-0.01, 0.01, dim))}
+    everywhere = {"type": "box", "min": [-1e6] * dim, "max": [1e6] * dim}
+    shapes = [everywhere if body["shape"]["type"] == "particles" else body["shape"] for body in bodies]
+    return {"shape": copy.deepcopy(draw(st.sampled_from(shapes))), kind: draw(vectors(-0.01, 0.01, dim))}
 
 
 @st.composite
@@ -464,7 +507,7 @@ WORDS = (
     "__import__('os').system('touch pwned')", "python:velocity:0123456789ab", "python:", "python",
     "{0.__class__}", "%n%s", "quadratic",
     "separate", "friction", "x", "xyz", "stick", "x_min", "sand", "drucker_prager", "fluid", "python_law",
-    "box", "union", "mesh",
+    "box", "union", "mesh", str(MESHES[2]), str(MESHES[3]), __file__,
 )  # fmt: skip
 NUMBERS = (
     0, -1, 1, 2, 0.0, -0.0, 0.5, 1e300, -1e300, 1e-300, 5e-324, -5e-324, 1e-45, 1e39, 1e18, 1e10, -1e10, 2**31,

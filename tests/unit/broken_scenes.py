@@ -1,5 +1,7 @@
 """Scenes with one mistake each and what the message must contain: (name, TOML text, fragments)."""
 
+from pathlib import Path
+
 GOOD = """
 title = "good"
 [domain]
@@ -96,6 +98,11 @@ def inflow(*changes):
     return GOOD_3D + text
 
 
+def mesh(keys):
+    return solid(CYLINDER, f'{{ type = "mesh", {keys} }}')
+
+
+CUBE, SQUARE = (Path(__file__).parents[1] / "fuzz" / name for name in ("cube.obj", "square.obj"))
 BOX = '{ type = "box", min = [0.0, 0.0], max = [0.1, 0.1] }'
 DISK = '{ type = "sphere", center = [0.3, 0.1], radius = 0.05 }'
 CYLINDER = '{ type = "cylinder", center = [0.15, 0.15, 0.05], axis = "z", radius = 0.05, height = 0.05 }'
@@ -292,7 +299,6 @@ BROKEN = [
     ("step and cfl", change(END, "end = 1.0\nstep = 1e-5\ncfl = 0.3"), ["time.step = 1e-05", "cfl = 0.3", "one"]),
     ("unknown transfer", change('"apic"', '"apicc"'), ['method.transfer = "apicc"', "did you mean apic?"]),
     ("precision", change('"apic"', '"apic"\nprecision = "double"'), ['method.precision = "double"', "float64"]),
-    ("integrator", change('"apic"', '"apic"\nintegrator = "implicit"'), ['method.integrator = "implicit"', "explicit"]),
     ("blend of apic", change('"apic"', '"apic"\nflip_blend = 0.99'), ["method.flip_blend = 0.99", "flip and aflip"]),
     ("blend of two", change('"apic"', '"flip"\nflip_blend = 2'), ["method.flip_blend = 2", ">= 0 and <= 1"]),
     ("linear mls", change('"apic"', '"mls"\nshape_function = "linear"'), ['transfer = "mls"', "quadratic or cubic"]),
@@ -481,6 +487,37 @@ BROKEN = [
         ["bodies[0].shape.of is empty"],
     ),
     ("outside", change("[0.3, 0.1]", "[0.3, 0.16]"), ["bodies[1].shape", "0.11 to 0.21 m along y", "0 to 0.2 m"]),
+    ("no mesh file", mesh('file = "nowhere.stl"'), ['shape.file = "nowhere.stl" no such file']),
+    ("mesh without file", mesh("scale = 1.0"), ["bodies[0].shape.file is missing"]),
+    ("no mesh", mesh(f'file = "{__file__}"'), ["shape.file", "cannot be read"]),
+    (
+        "3-D mesh",
+        change(BOX, f'{{ type = "mesh", file = "{CUBE}" }}'),
+        ["shape.file", "is 3-D: a 2-D scene needs polygons"],
+    ),
+    ("flat mesh", mesh(f'file = "{SQUARE}"'), ["shape.file", "is flat: a 3-D scene needs a surface"]),
+    (
+        "large mesh",
+        mesh(f'file = "{CUBE}"'),
+        ["from -1 to 1 m along x", "2 x 2 x 2 m large: scale = 0.05 and move = [0.15, 0.15"],
+    ),
+    ("mesh scale", mesh(f'file = "{CUBE}", scale = -1'), ["shape.scale = -1 must be a number > 0"]),
+    ("mesh of two scales", mesh(f'file = "{CUBE}", scale = [1, 2]'), ["shape.scale = [1.0, 2.0] must have 3 numbers"]),
+    ("mesh turned once", mesh(f'file = "{CUBE}", rotate = 90'), ["shape.rotate = 90.0 must be three angles"]),
+    ("mesh group", mesh(f'file = "{CUBE}", group = "al"'), ["shape.file", "has no group al; did you mean all?"]),
+    ("other mesh", mesh(f'file = "{CUBE}", checksum = "0"'), ["shape.file", "is not the file it was"]),
+    ("endless mesh", mesh(f'file = "{CUBE}", scale = 1e300'), ["shape.file", "reaches 1e+300 m"]),
+    ("unknown seeding", change(COUNT, 'seeding = "latice"'), ['bodies[1].seeding = "latice"', "did you mean lattice?"]),
+    (
+        "lattice of five",
+        change(COUNT, 'particles_per_cell = 5\nseeding = "lattice"'),
+        ["bodies[1].particles_per_cell = 5 fits no lattice", "the nearest that do are 4 and 9"],
+    ),
+    (
+        "quadrature of seven",
+        solid("height = 0.05 }", 'height = 0.05 }\nparticles_per_cell = 7\nseeding = "quadrature"'),
+        ["particles_per_cell = 7 fits no lattice", "1 and 8"],
+    ),
     ("no particles", change(COUNT, "particles_per_cell = 0"), ["bodies[1].particles_per_cell = 0", "from 1 to 4096"]),
     ("many particles", change(COUNT, "particles_per_cell = 4097"), ["particles_per_cell = 4097", "from 1 to 4096"]),
     ("broken particles", change(COUNT, "particles_per_cell = 4.5"), ["particles_per_cell = 4.5", "whole number"]),
@@ -735,6 +772,10 @@ BROKEN = [
 ]
 
 NOT_BUILT = [
-    ("mesh", change('"box"', '"mesh"'), ['bodies[0].shape.type = "mesh" is not built yet']),
+    (
+        "implicit steps",
+        change('"apic"', '"apic"\nintegrator = "implicit"'),
+        ['method.integrator = "implicit" is not built yet', "explicit"],
+    ),
 ]
 BROKEN += NOT_BUILT

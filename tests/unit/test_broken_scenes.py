@@ -64,7 +64,7 @@ def test_more_than_five_mistakes_are_counted():
 
 
 def test_a_mistake_beside_something_not_built_is_a_mistake():
-    toml = change("end = 1.0", "end = -1.0", change('"box"', '"mesh"'))
+    toml = change("end = 1.0", "end = -1.0", change('"apic"', '"apic"\nintegrator = "implicit"'))
     with pytest.raises(SceneError, match="time.end") as raised:
         Scene.from_text(toml)
     assert not isinstance(raised.value, NotBuilt)

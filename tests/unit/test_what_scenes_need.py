@@ -70,6 +70,10 @@ HELD = {
     ),
     "f_bar": (scene(RUBBER, **method(f_bar=True)), [APIC | {"divergence": 8, "F": 32}]),
     "loads": (scene(RUBBER, loads=[LOAD]), [APIC | {"load": 16, "F": 32}]),
+    "shares": (
+        scene(RUBBER, bodies=[{"material": "0", "shape": SHAPE, "seeding": "quadrature"}]),
+        [APIC | {"share": 8, "F": 32}],
+    ),
     "body force": (scene(RUBBER, body_force=uniform), [APIC | {"F": 32}]),
     "body force that reads X": (scene(RUBBER, body_force=tied), [APIC | {"X": 16, "F": 32}]),
     "exact solution": (scene(RUBBER, exact={"displacement": at_rest}), [APIC | {"X": 16, "F": 32}]),
@@ -100,9 +104,9 @@ def test_check_shows_the_bytes_of_each_field_of_each_law(label):
 @pytest.mark.parametrize(
     ("label", "absent"),
     [
-        ("pic", "field C, field X, field divergence, field load"),
-        ("rubber", "field X, field divergence, field load"),
-        ("body force that reads X", "field divergence, field load"),
+        ("pic", "field C, field X, field divergence, field load, field share"),
+        ("rubber", "field X, field divergence, field load, field share"),
+        ("body force that reads X", "field divergence, field load, field share"),
     ],
 )
 def test_check_names_the_optional_fields_that_are_left_out(label, absent):
