@@ -36,6 +36,9 @@ SHOWN = {
         takes="5 s",
         expect="The end sinks by 0.304 L, 1.5 % more than the elastica of its length, which knows no shear (0.8 %).",
     ),
+    "chute_flow": Shown(
+        takes="10 s", expect="The same speeds within 2 %; as much has left in 0.3 s as has come in, to 15 digits."
+    ),
     "colliding_disks": Shown(
         "pressure",
         24,
@@ -52,6 +55,22 @@ SHOWN = {
     "dam_break_3d": Shown(
         snapshot=16, takes="10 s", expect="The same front, between two side walls; it is on its way at the end."
     ),
+    "dam_break_obstacle": Shown(
+        snapshot=35,
+        takes="20 s",
+        expect="Water reaches the box after 0.41 s, smooth walls and floor as they are, and pushes it with up to 374 N.",
+    ),
+    "hopper": Shown(
+        snapshot=20,
+        takes="10 s",
+        expect="22.8 to 23.5 % of the sand each 0.2 s, from 0.1 to 0.7 s: it hardly slows down.",
+    ),
+    "jet": Shown("pressure", takes="5 s", expect="Two films of 0.01025 m, 2.5 % thicker than half the jet."),
+    "landslide": Shown(
+        snapshot=20,
+        takes="5 to 10 minutes on two ranks",
+        expect="The middle of it goes 1.9 km and 430 m down, at up to 55 m/s; after 90 s half of it rests.",
+    ),
     "mixed_materials": Shown(
         "material", 30, takes="one minute", expect="[Energies](results/mixed_materials.md) that only fall."
     ),
@@ -59,6 +78,12 @@ SHOWN = {
         snapshot=5,
         takes="15 s",
         expect="It rests after 1.8 s, 1.18 m long; the parabola has 1.10 m, which mud in motion runs past.",
+    ),
+    "plough": Shown(
+        snapshot=35, takes="20 s", expect="The force grows with the heap, from 48 N/m at 0.1 s to 158 N/m at 1.4 s."
+    ),
+    "rotating_drum": Shown(
+        snapshot=60, takes="one minute", expect="A slope of 28 to 30 degrees; the angle of friction is 30."
     ),
     "sliding_block": Shown(takes="3 s", expect="0.2870 m in 0.6 s, 0.3 % more than a rigid block."),
     "slope_failure": Shown(

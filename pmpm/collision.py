@@ -12,9 +12,12 @@ import numpy as np
 
 from pmpm import estimate
 from pmpm.kernels.spans import QUADS
-from pmpm.scene.colliders import spin_at
+from pmpm.scene.colliders import SampledDistance, normals_of, rotation, spin_at
 from pmpm.scene.forcing import velocity_at
+from pmpm.scene.shapes import leaves_of
 
+NORMAL_STEP = 1e-3  # cells: over which the distance is differenced
+SAMPLES = 0.5  # cells between samples of a distance that takes long to find
 ON_SURFACE = 1e-9  # cells: nodes no farther out than this are inside
 UNITS = 58  # powers of two below the largest momentum that a scene may hold
 SMALLEST_UNIT = 2.0**-100  # whose inverse float32 can hold
@@ -53,10 +56,10 @@ class Obstacle:
         self.collider, self.name, self.real, self.dim = collider, collider.name, real, scene.dim
         self.type, self.coefficient = collider.surface.type, real(collider.surface.coefficient)
         size = np.array(scene.domain.size)
-        low, high = collider.bounds(self.dim)
-        self.low, self.high = low, high
-        near, far = np.maximum(low, 0.0), np.minimum(high, size)
-        self.pivot = 0.5 * (near + far) if collider.pivot is None else np.array(collider.pivot)
+        self.low, self.high = collider.bounds(self.dim)
+        near, far = np.maximum(self.low, 0.0), np.minimum(self.high, size)
+        self.pivot = collider.center(scene.domain.size)
+        self.sampled = sampled_distance(collider.shape, scene.domain.cell_size)
         self.reach = float(np.linalg.norm(np.maximum(np.abs(near - self.pivot), np.abs(far - self.pivot))))
         self.unit, self.length = unit, 2.0 ** math.ceil(math.log2(float(size.max())))
         self.per_unit, self.per_reach = real(1.0 / unit), real(1.0 / self.length)
@@ -110,6 +113,15 @@ class Obstacle:
         """Where what is at points (n, dim) now was at the start."""
         return (points - self.pivot - self.shift) @ self.turn + self.pivot
 
+    def distance(self, points):
+        """How far (n,) m points (n, dim) m are from its surface, where it was at the start; negative inside."""
+        return self.collider.signed_distance(points, self.time) if self.sampled is None else self.sampled(points)
+
+    def normals(self, points):
+        """Unit vectors (n, dim) out of it at such points."""
+        own = getattr(self.collider.shape, "normals", None)
+        return normals_of(self.distance, points, NORMAL_STEP * self.geometry.cell_size) if own is None else own(points)
+
     def box(self):
         """Corners (low, high), (dim,) each, of a box around it now."""
         if not (np.isfinite(self.low).all() and np.isfinite(self.high).all()):
@@ -135,9 +147,9 @@ class Obstacle:
         plane, middle, node = self.candidates()
         x = self.places(plane, middle, node)
         before = self.at_start(x)
-        inside = self.collider.signed_distance(before, self.time) <= ON_SURFACE * dx
+        inside = self.distance(before) <= ON_SURFACE * dx
         plane, middle, node, x, before = (values[inside] for values in (plane, middle, node, x, before))
-        normals = self.collider.normals(before, self.time, dx) @ self.turn.T
+        normals = self.normals(before) @ self.turn.T
         arms = x - self.pivot - self.shift
         own = np.ones(len(x), bool)
         for place, numbers in ((1, middle), (2, node)):
@@ -213,7 +225,7 @@ class Obstacle:
                 i, j = np.repeat(middles, len(nodes)), np.tile(nodes, len(middles))
                 x = self.places(np.full(len(i), plane), i, j)
                 margin = ON_SURFACE * self.geometry.cell_size
-                within[i, j] = self.collider.signed_distance(self.at_start(x), self.time) <= margin
+                within[i, j] = self.distance(self.at_start(x)) <= margin
             self.masks[number] = packed(within.reshape(rows, -1, 4).any(axis=2))
         return self.masks[number]
 
@@ -260,6 +272,14 @@ class Obstacle:
         self.per_unit, self.contact = self.real(1.0 / self.unit), None
 
 
+def sampled_distance(shape, cell_size):
+    """The SampledDistance of a shape made of meshes, whose own distance takes microseconds a point; None for others."""
+    if shape is None or all(leaf.type != "mesh" for _, leaf in leaves_of(shape)):
+        return None
+    low, high = shape.bounds()
+    return SampledDistance(shape, SAMPLES * cell_size) if np.isfinite([low, high]).all() else None
+
+
 def unit_of_momentum(scene, needs, tables):
     """kg m/s, a power of two: far below what matters, far above what would overflow."""
     density = max(material.parameters["density"] for material in scene.materials.values())
@@ -277,19 +297,6 @@ def path_velocity(path, time, dim):
         return np.zeros(dim)
     way = np.subtract(path.displacements[place], path.displacements[place - 1])
     return way / (path.times[place] - path.times[place - 1])
-
-
-def rotation(angle):
-    """Rotation by a vector of angles (rad): (1,) in the plane, (3,) in space (Rodrigues)."""
-    if len(angle) == 1:
-        c, s = math.cos(angle[0]), math.sin(angle[0])
-        return np.array([[c, -s], [s, c]])
-    size = float(np.linalg.norm(angle))
-    if size == 0.0:
-        return np.eye(3)
-    x, y, z = angle / size
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(size) * K + (1.0 - math.cos(size)) * (K @ K)
 
 
 def turning(spin, arms):

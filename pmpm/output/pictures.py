@@ -1,5 +1,6 @@
 """How pictures look, and what to install for them: matplotlib is an extra, imported when something is drawn."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,18 @@ class Surface:
     points: np.ndarray
     triangles: np.ndarray | None = None
     opacity: float = 0.6
+    place: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = (
+        None  # (rotation, shift) at a time (s), if it moves
+    )
+    pivot: np.ndarray | None = None
+
+    def at(self, time):
+        """The points at a time (s)."""
+        points = np.asarray(self.points)
+        if self.place is None:
+            return points
+        turn, shift = self.place(time)
+        return (points - self.pivot) @ turn.T + self.pivot + shift
 
 
 def figure_class(asker):

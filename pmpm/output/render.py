@@ -18,6 +18,7 @@ import numpy as np
 from pmpm.output import film
 from pmpm.output.datasets import UNITS
 from pmpm.output.files import OutputError, unfinished_name
+from pmpm.output.outlines import outlines
 from pmpm.output.pictures import Surface, figure_class, plain, save
 from pmpm.output.progress import LINE_INTERVAL
 from pmpm.output.reader import load, reading
@@ -162,14 +163,9 @@ def view_of(scene, snapshots, asked):
         scene.get("title", ""), np.array(domain["size"]), order, spacing, field,
         f"{name} ({unit})" if unit != "-" else name, limits, tuple(scene["materials"]) if field == "material" else (),
         camera, angles, asked.zoom, colour_map(asked.colours), (), asked.pixels, asked.box,
-        (*surfaces_of(scene), *asked.surfaces),
+        (*outlines(scene), *asked.surfaces),
     )  # fmt: skip
     return with_material_colours(view) if view.materials else view
-
-
-def surfaces_of(scene):
-    """What the scene (see reader.Run.table) puts in the way of material, as a tuple of pictures.Surface."""
-    return ()
 
 
 def colour_map(name):
@@ -345,7 +341,7 @@ def draw(figure, view, snapshot):
     axes.set_ylabel(f"{'xyz'[view.order[1]]} (m)", fontsize=8)
     axes.tick_params(labelsize=7)
     points = axes.scatter(*columns, c=values, s=marker_area(view, every), **style)
-    draw_surfaces(axes, view)
+    draw_surfaces(axes, view, snapshot.time)
     if view.materials:
         for name, colour in zip(view.materials, view.material_colours, strict=True):
             axes.scatter(*[[] for _ in view.order], color=colour, label=name, s=20)
@@ -362,10 +358,10 @@ def mirrored(order):
     return order in ((0, 2, 1), (2, 1, 0), (1, 0, 2))
 
 
-def draw_surfaces(axes, view):
-    """Draw the Surfaces of a View into its axes."""
+def draw_surfaces(axes, view, time):
+    """Draw the Surfaces of a View into its axes, where they are at a time (s)."""
     for surface in view.surfaces:
-        points = np.asarray(surface.points)[:, list(view.order)]
+        points = surface.at(time)[:, list(view.order)]
         if surface.triangles is None:
             axes.plot(*points.T, color="black", lw=1.2)
         elif len(view.size) == 3:

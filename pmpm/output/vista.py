@@ -122,7 +122,7 @@ class Stage:
             box = self.pyvista.Box(bounds=sum(((0.0, length) for length in (*view.size, 0.0)[:3]), ()))
             plotter.add_mesh(box, style="wireframe", color=GREY, line_width=1, lighting=False, reset_camera=False)
         for surface in view.surfaces:
-            self.add(surface)
+            self.add(surface, time)
         plotter.add_axes(viewport=(0.0, 0.0, 0.14, 0.18))
         title = f"{view.title}    t = {time:.4g} s".strip()
         plotter.add_text(
@@ -130,9 +130,9 @@ class Stage:
         )
         return plotter.screenshot(None, return_img=True)[..., :3]
 
-    def add(self, surface):
-        """Draw a pictures.Surface."""
-        points = in_space(surface.points)
+    def add(self, surface, time):
+        """Draw a pictures.Surface where it is at a time (s)."""
+        points = in_space(surface.at(time))
         if surface.triangles is None:
             mesh = self.pyvista.lines_from_points(points)
             self.plotter.add_mesh(mesh, color="black", line_width=2, lighting=False, reset_camera=False)

@@ -1,5 +1,6 @@
 """Rigid things in the way of the material: where they are, how they move, and what their surface does to what touches it."""
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Annotated, Any
@@ -31,7 +32,7 @@ from pmpm.scene.values import (
 )
 
 SURFACES = ("stick", "slip", "separate", "friction")
-NORMAL_STEP = 1e-3  # cells: over which the distance is differenced
+MOST_SAMPLES, PIECE = 2_000_000, 1 << 16  # of a distance that takes long to find, and how many at a time
 SPIN = "angular velocity: a number in 2-D, a vector in 3-D, or a function of time (deg/s)"
 
 
@@ -223,21 +224,20 @@ class Collider(Part):
         shape: Any = self.shape
         return shape.signed_distance(points)
 
-    def normals(self, points: np.ndarray, time: float, cell_size: float) -> np.ndarray:
-        """Return unit vectors (n, dim) along which the distance grows; upwards where it does not tell."""
-        own = getattr(self.shape, "normals", None)
-        if own is not None:
-            return own(points)
-        step, slopes = NORMAL_STEP * cell_size, np.empty_like(points)
-        for axis in range(points.shape[1]):
-            shift = np.zeros(points.shape[1])
-            shift[axis] = step
-            slopes[:, axis] = self.signed_distance(points + shift, time) - self.signed_distance(points - shift, time)
-        lengths = np.linalg.norm(slopes, axis=1)
-        up = np.zeros(points.shape[1])
-        up[-1] = 1.0
-        told = lengths > 0.0
-        return np.where(told[:, None], slopes / np.where(told, lengths, 1.0)[:, None], up)
+    def placed(self, time: float, dim: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return how far it has turned (dim, dim) and moved (dim,) m at a time; None where functions tell it step by step."""
+        if callable(self.velocity) or callable(self.angular_velocity):
+            return None
+        spin = 0.0 if dim == 2 else (0.0,) * 3
+        turn = rotation(time * spin_at(spin if self.angular_velocity is None else self.angular_velocity, 0.0, dim))
+        if self.path is not None:
+            return turn, self.path.displacement(time) - self.path.displacement(0.0)
+        return turn, time * np.array((0.0,) * dim if self.velocity is None else self.velocity)
+
+    def center(self, size: tuple[float, ...]) -> np.ndarray:
+        """Return the point (dim,) m that it turns about: its pivot, or the middle of what lies in a domain of this size."""
+        low, high = self.bounds(len(size))
+        return 0.5 * (np.maximum(low, 0.0) + np.minimum(high, size)) if self.pivot is None else np.array(self.pivot)
 
     @field_serializer("velocity", "angular_velocity", "distance")
     def recorded_function(self, value: Any) -> Any:
@@ -259,8 +259,67 @@ def cut_out(colliders: tuple[Collider, ...], points: np.ndarray) -> np.ndarray:
     inside = np.zeros(len(points), bool)
     for collider in colliders:
         if collider.cut:
-            inside |= collider.signed_distance(points, 0.0) < 0.0
+            shape = collider.shape
+            inside |= collider.signed_distance(points, 0.0) < 0.0 if shape is None else shape.contains(points)
     return inside
+
+
+def rotation(angle: np.ndarray) -> np.ndarray:
+    """Return the rotation by a vector of angles (rad): (1,) in the plane, (3,) in space (Rodrigues)."""
+    if len(angle) == 1:
+        c, s = math.cos(angle[0]), math.sin(angle[0])
+        return np.array([[c, -s], [s, c]])
+    size = float(np.linalg.norm(angle))
+    if size == 0.0:
+        return np.eye(3)
+    x, y, z = angle / size
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(size) * K + (1.0 - math.cos(size)) * (K @ K)
+
+
+def normals_of(distance: Any, points: np.ndarray, step: float) -> np.ndarray:
+    """Return unit vectors (n, dim) along which a distance grows, differenced over a step (m); upwards if it does not tell."""
+    slopes = np.empty_like(points)
+    for axis in range(points.shape[1]):
+        shift = np.zeros(points.shape[1])
+        shift[axis] = step
+        slopes[:, axis] = distance(points + shift) - distance(points - shift)
+    lengths = np.linalg.norm(slopes, axis=1)
+    up = np.zeros(points.shape[1])
+    up[-1] = 1.0
+    told = lengths > 0.0
+    return np.where(told[:, None], slopes / np.where(told, lengths, 1.0)[:, None], up)
+
+
+class SampledDistance:
+    """A signed distance known on the corners of a regular mesh around a shape, multilinear in between; what is farther out is
+    as far as the mesh is wide."""
+
+    def __init__(self, shape: Any, spacing: float):
+        low, high = shape.bounds()
+        extent = high - low
+        self.spacing = max(spacing, float(np.prod(extent) / MOST_SAMPLES) ** (1.0 / len(extent)))
+        self.low = low - 2.0 * self.spacing
+        self.counts = np.ceil(extent / self.spacing).astype(np.int64) + 5
+        self.far = float(np.linalg.norm(extent)) + spacing
+        axes = [start + self.spacing * np.arange(n) for start, n in zip(self.low, self.counts, strict=True)]
+        places = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(extent))
+        pieces = [shape.signed_distance(places[i : i + PIECE]) for i in range(0, len(places), PIECE)]
+        self.values = np.concatenate(pieces).reshape(self.counts)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Return the distance (n,) m at points (n, dim) m."""
+        cells = (points - self.low) / self.spacing
+        inside = np.all((cells >= 0.0) & (cells <= self.counts - 1), axis=1)
+        found = np.full(len(points), self.far)
+        first = np.minimum(cells[inside].astype(np.int64), self.counts - 2)
+        t = cells[inside] - first
+        sums = np.zeros(len(first))
+        for corner in itertools.product((0, 1), repeat=points.shape[1]):
+            weight = np.prod(np.where(corner, t, 1.0 - t), axis=1)
+            sums += weight * self.values[tuple((first + corner).T)]
+        found[inside] = sums
+        return found
 
 
 def named(colliders: tuple[Collider, ...]) -> Iterator[Collider]:
