@@ -17,6 +17,8 @@ from pmpm.scene.schema import Scene
 
 DOCS = Path(__file__).parent
 LARGEST = 150_000  # bytes of a picture
+FRONT = ("landslide", "dam_break_obstacle", "snowballs", "rotating_drum", "hopper", "column_collapse_3d")
+TILE = (420, 320)  # pixels of each in the README's picture
 COLOURS = 128  # of a picture; more makes it larger, not clearer
 
 
@@ -164,6 +166,20 @@ def shrink(picture):
         raise SystemExit(f"{picture}: {size} bytes, more than {LARGEST}")
 
 
+def draw_front():
+    """Write docs/pictures/front.png, what the README begins with: pictures of the gallery side by side."""
+    from PIL import Image
+
+    (width, height), columns = TILE, 3
+    sheet = Image.new("RGB", (columns * width, -(-len(FRONT) // columns) * height), "white")
+    for number, name in enumerate(FRONT):
+        picture = Image.open(DOCS / "pictures" / "gallery" / f"{name}.png").convert("RGB")
+        picture.thumbnail((width - 16, height - 16))
+        left, top = number % columns * width, number // columns * height
+        sheet.paste(picture, (left + (width - picture.width) // 2, top + (height - picture.height) // 2))
+    sheet.quantize(COLOURS).save(DOCS / "pictures" / "front.png", optimize=True)
+
+
 def main():
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("names", nargs="*", help="of built-in scenes (default: all)")
@@ -172,6 +188,8 @@ def main():
     given = options.parse_args()
     for name in [] if given.text else given.names or builtin_scenes():
         draw(name, given.runs)
+    if not given.text:
+        draw_front()
     (DOCS / "gallery.md").write_text(page(), encoding="utf-8")
 
 

@@ -324,8 +324,3 @@ def population_of(simulation, law, cloud):
     first, last = (int(layer[0]), int(layer[-1]) + 1) if len(layer) else (0, 0)
     rest = simulation.pad_values(simulation.layouts[law])
     return Population.of_ordered(Ordered(cloud.reals, cloud.id, segments), first, last - first, rest, simulation.dim)
-
-
-def flows(scene):
-    """Whether anything leaves or comes in."""
-    return bool(scene.inflows) or any(wall.type == "open" for wall in scene.domain.walls.values())

@@ -20,7 +20,6 @@ import numpy as np
 from pmpm import failure, guard, populate, readout, restart, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
-from pmpm.flow import Flow, flows
 from pmpm.kernels import build, targets
 from pmpm.kernels.loops import FARTHEST, SETTLED
 from pmpm.kernels.places import TRAVEL
@@ -85,7 +84,7 @@ class Simulation:
         self.control = StepControl(
             self.comm, scene.time, scene.domain.cell_size, self.dim, FARTHEST / 64, SETTLED / 64, TRAVEL
         )
-        self.flow = Flow(self) if flows(scene) else None
+        self.flow = self.flow_of(scene)
         self.drive = Drive(scene, self.needs, self.tables, self.real, self.flow.mouths if self.flow else ())
         self.populations = []
         self.smallest_step = guard.smallest_step(scene, self.needs, self.tables)
@@ -119,6 +118,14 @@ class Simulation:
             return cls(scene, comm, tell, continuation, threads, backend)
 
     # ---- set-up ----
+
+    def flow_of(self, scene):
+        """What comes in and leaves, None where nothing does."""
+        if not scene.inflows and not self.needs.open:
+            return None
+        from pmpm.flow import Flow
+
+        return Flow(self)
 
     def cut(self, edges):
         """Take these layers per rank: a new patch of nodes and new halo buffers; particles follow with `settle_in`."""

@@ -113,12 +113,22 @@ def profile(tmp_path):
     return terrain
 
 
-@pytest.mark.parametrize("ground", ["plane", "terrain"])
+def polygon(tmp_path):
+    def mesh(top, slope):
+        corners = np.array([[0.0, -1.0], [2.0, -1.0], [2.0, top[1] - 2.0 * slope], top])
+        np.savetxt(tmp_path / "slope.csv", corners, delimiter=",", header="x,y", comments="")
+        return {"type": "mesh", "file": str(tmp_path / "slope.csv")}
+
+    return mesh
+
+
+@pytest.mark.parametrize("ground", ["plane", "terrain", "mesh"])
 @pytest.mark.parametrize(
     "surface", ["slip", "separate", {"type": "friction", "coefficient": math.tan(math.radians(15.0))}]
 )
 def test_a_block_slides_down_an_oblique_slope_as_coulomb_says(surface, ground, tmp_path):
-    wrong, normal, ratio = on_slope(surface, 0.3, 1.0, profile(tmp_path) if ground == "terrain" else None)
+    made = {"plane": lambda path: None, "terrain": profile, "mesh": polygon}[ground](tmp_path)
+    wrong, normal, ratio = on_slope(surface, 0.3, 1.0, made)
     assert abs(wrong) < 1e-3  # the gate of V7; measured 2e-4 without friction (dt / t), 1e-4 to 6e-4 with
     assert normal == pytest.approx(1.0, abs=0.02)  # it bounces
     assert ratio == pytest.approx(surface["coefficient"] if isinstance(surface, dict) else 0.0, abs=1e-3)

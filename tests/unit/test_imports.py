@@ -8,7 +8,13 @@ import pytest
 
 HEAVY = ("numba", "mpi4py", "h5py", "meshio", "matplotlib", "pydantic", "numpy")
 WATCHERS = ("pmpm.sampling", "pmpm.series", "pmpm.maps")  # of scenes with probes, gauges and maps
-ALONE_ABSENT = ("mpi4py", "numba.cuda", "meshio", "matplotlib", "vtk", "pyvista", "tqdm", *WATCHERS)
+WAYS = (
+    "pmpm.collision",
+    "pmpm.flow",
+    "pmpm.scene.mesh_files",
+    "pmpm.kernels.surfaces",
+)  # of scenes with colliders, flows, meshes
+ALONE_ABSENT = ("mpi4py", "numba.cuda", "meshio", "matplotlib", "vtk", "pyvista", "tifffile", "tqdm", *WATCHERS, *WAYS)
 
 
 def modules_after(code, folder):
