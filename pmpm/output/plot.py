@@ -1,5 +1,5 @@
-"""A run's diagnostics over time as a picture, for `pmpm plot`: energies, momentum, how far material has come, time steps, and
-where the run time went; its probes and gauges over time, and its maps."""
+"""A run's diagnostics over time as a picture, for `pmpm plot`: energies, momentum, how far material has come, time steps,
+forces on colliders, what has left and come in, where the run time went; its probes and gauges over time, and its maps."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,6 +76,9 @@ def panels_of(run):
             Panel("momentum", "N s", columns(diagnostics, "momentum_")),
             Panel("largest speed", "m/s", columns(diagnostics, "max_speed"), from_zero=True),
             Panel("time step", "s", columns(diagnostics, "dt"), from_zero=True),
+            *(Panel(f"force along {axis} on colliders", "N", columns(diagnostics, f"force_{axis}_")) for axis in "xyz"),
+            Panel("mass that has left", "kg", columns(diagnostics, "left_mass"), from_zero=True),
+            Panel("mass that has come in", "kg", columns(diagnostics, "emitted_mass"), from_zero=True),
         ]
     found.append(Panel("extent of material", "m", extents(run.snapshots)))
     found.append(Panel("run time by phase", "s", bars=phases(table_in(run.record, "report"))))
