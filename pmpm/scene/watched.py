@@ -92,9 +92,9 @@ def wrong_axis(gauge: Gauge, domain: Any, here: tuple) -> Iterator[Problem]:
     if gauge.axis is not None and gauge.axis not in axes:
         yield Problem((*here, "axis"), f"must be one of {', '.join(axes)} in a {domain.dim}-D scene", gauge.axis)
     elif gauge.axis is None and gauge.type == "section":
-        yield Problem((*here, "axis"), "is missing: the axis to which the section is normal")
+        yield Problem((*here, "axis"), "must be given: the axis to which the section is normal")
     elif gauge.axis is None and upright(domain.gravity) is None:
-        yield Problem((*here, "axis"), "is missing: without gravity, the axis along which the line goes")
+        yield Problem((*here, "axis"), "must be given: without gravity, the axis along which the line goes")
     elif gauge.type == "surface":
         axis = upright(domain.gravity) if gauge.axis is None else AXES.index(gauge.axis)
         if axis is not None and AXES[axis] in domain.periodic:

@@ -680,7 +680,7 @@ BROKEN = [
     (
         "section without axis",
         GOOD + '[[output.gauges]]\nname = "a"\ntype = "section"\nposition = [0.1, 0.1]\n',
-        ["output.gauges[0].axis is missing: the axis to which the section is normal"],
+        ["output.gauges[0].axis must be given: the axis to which the section is normal"],
     ),
     (
         "section across an axis that is not there",
@@ -691,7 +691,7 @@ BROKEN = [
         "gauge without gravity",
         change(GRAVITY, "", change('pressure = "hydrostatic"', ""))
         + '[[output.gauges]]\nname = "a"\nposition = [0.1, 0.1]\n',
-        ["output.gauges[0].axis is missing: without gravity"],
+        ["output.gauges[0].axis must be given: without gravity"],
     ),
     (
         "unknown map",

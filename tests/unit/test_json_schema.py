@@ -76,9 +76,10 @@ def test_what_one_key_gets_wrong_is_refused_by_the_schema(name, text):
         assert refused(text), said
 
 
-def test_the_schema_refuses_most_broken_scenes():
+def test_many_broken_scenes_have_one_wrong_key():
+    """Else the test above would be cheap to pass; the others break what more than one key says."""
     kinds = [ONE_KEY.search(complaint(text)) for _, text, _ in BROKEN]
-    assert sum(kind is not None for kind in kinds) > len(BROKEN) / 2
+    assert sum(kind is not None for kind in kinds) > 100
 
 
 @pytest.mark.parametrize(
