@@ -25,7 +25,7 @@ from llvm_text import arithmetic_in
 
 import pmpm
 from pmpm.kernels import targets
-from pmpm.kernels.build import LAYING_OUT, OUT_OF_BLOCKS, PER_CUT, PER_PLACES, PER_SCENE, SORTING
+from pmpm.kernels.build import LAYING_OUT, OUT_OF_BLOCKS, PER_CUT, PER_OPEN, PER_PLACES, PER_SCENE, SORTING
 from pmpm.physics import hencky
 from pmpm.physics.materials import neo_hookean
 from pmpm.physics.words import ATANH_OVER_ROOT, EXPM1_OF_TWICE
@@ -40,7 +40,7 @@ def box(low, high):
     return {"type": "box", "min": low, "max": high}
 
 
-def scene(materials, precision="float64", transfer="apic", dim=2, periodic=(), f_bar=False):
+def scene(materials, precision="float64", transfer="apic", dim=2, periodic=(), f_bar=False, **keys):
     """A box of each material, side by side. With a periodic slab axis, x, one rank has a cut as well."""
     bodies = [
         {"material": name, "shape": box([0.2 * i] + [0.0] * (dim - 1), [0.2 * i + 0.1] + [0.1] * (dim - 1))}
@@ -57,7 +57,18 @@ def scene(materials, precision="float64", transfer="apic", dim=2, periodic=(), f
         time={"end": 0.1},
         materials=materials,
         bodies=bodies,
+        **keys,
     )
+
+
+def in_the_way(dim):
+    """Something of each surface, well apart."""
+    surfaces = ("stick", "slip", "separate", {"type": "friction", "coefficient": 0.3})
+    places = ([0.1 + 0.2 * i] + [0.15] * (dim - 1) for i in range(len(surfaces)))
+    return [
+        {"shape": {"type": "sphere", "center": place, "radius": 0.03}, "surface": surface}
+        for place, surface in zip(places, surfaces, strict=True)
+    ]
 
 
 def text_of(simulation, names=("p2g 0", "g2p 0")):
@@ -91,6 +102,8 @@ SCENES = {
     "float32, 2-D": lambda: scene(ALL_LAWS, "float32", dim=2, periodic=["x"]),
     "float32, 3-D": lambda: scene(ALL_LAWS, "float32", dim=3, periodic=["x"]),
     "float32, FLIP and F-bar": lambda: scene({"rubber": RUBBER}, "float32", "flip", f_bar=True),
+    "float32, colliders, 2-D": lambda: scene({"rubber": RUBBER}, "float32", colliders=in_the_way(2)),
+    "float32, colliders, 3-D": lambda: scene({"rubber": RUBBER}, "float32", dim=3, colliders=in_the_way(3)),
     "float32, 3-D, water": lambda: scene({"water": WATER}, "float32", dim=3),
 }
 
@@ -161,13 +174,15 @@ def test_mls_computes_no_weight_gradients(simulation_of):
         ("scalar", "float32, 3-D"),
         ("lanes", "float32, FLIP and F-bar"),
         ("scalar", "float32, FLIP and F-bar"),
+        ("scalar", "float32, colliders, 2-D"),
+        ("scalar", "float32, colliders, 3-D"),
     ],
 )
 def test_float32_kernels_hold_no_double_arithmetic(simulation_of, loops, scene_name):
     """No entry of a step does, those that sort particles and sum planes included; the guard sums energies in double."""
     simulation = simulation_of(scene_name, loops)
     simulation.kernels.damp(simulation.patch.nodes, 0, 0, simulation.drive.kept(0.0))
-    unused = (*OUT_OF_BLOCKS, *(() if simulation.slabs.cuts else PER_CUT))
+    unused = (*OUT_OF_BLOCKS, *PER_OPEN, *(() if simulation.slabs.cuts else PER_CUT))
     entries = [name for name in simulation.kernels.entries if not name.startswith("energies")]
     texts = text_of(simulation, [name for name in entries if name not in unused])
     assert {name: found for name, text in texts.items() if (found := arithmetic_in(text, "double"))} == {}
