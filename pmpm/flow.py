@@ -25,6 +25,7 @@ from pmpm.scene.seeding import id_offsets, lattice_range
 from pmpm.state.derived import MASS, VOLUME0
 from pmpm.state.fields import SHARE_STEPS
 from pmpm.state.particles import Cloud, Ordered, Population
+from pmpm.timestep import LAG
 
 EARLY = 1e-9  # of a spacing: what has been travelled is rounded
 TURNED = 1e-9  # less than 1 that the cosine of no angle may be
@@ -72,9 +73,10 @@ class Flow:
         for mouth in self.mouths:
             mouth.begin(time)
         to_come = [mouth for mouth in self.mouths if not mouth.over(time)]
+        unknown = [mouth for mouth in self.mouths if mouth.unknown]
         self.floor = (
-            max((mouth.speed_at(time) for mouth in to_come), default=0.0),
-            max((mouth.wave for mouth in to_come), default=0.0),
+            max([mouth.speed_at(time) for mouth in to_come] + [mouth.put_in for mouth in unknown], default=0.0),
+            max((mouth.wave for mouth in to_come + unknown), default=0.0),
         )
 
     def due(self):
@@ -173,6 +175,7 @@ class Flow:
         return self.report() | {
             "left_steps": self.left_steps.tolist(),
             "last": last,
+            "unknown": [(mouth.unknown, mouth.put_in) for mouth in self.mouths],
             "taken": self.taken,
             "brought": self.brought,
         }
@@ -180,15 +183,18 @@ class Flow:
     def resume(self, state):
         """Go on from what `state` gave. Raises ValueError where it is that of another scene."""
         names, sources, inflows = set(self.taken), len(self.left), len(self.mouths)
-        fits = set(state["taken"]) == set(state["brought"]) == names and len(state["last"]) == inflows
+        fits = set(state["taken"]) == set(state["brought"]) == names
+        fits = fits and len(state["last"]) == len(state["unknown"]) == inflows
         fits = fits and len(state["left"]) == len(state["left_steps"]) == len(state["emitted"]) == sources
+        fits = fits and not any(state["emitted"][: len(self.scene.bodies)])
         if not fits or any(last is not None and len(last) != self.scene.dim for last in state["last"]):
             raise ValueError("what has come in and left is that of another scene")
         self.left[:], self.left_steps[:] = state["left"], state["left_steps"]
         self.taken, self.brought = dict(state["taken"]), dict(state["brought"])
-        for mouth, last in zip(self.mouths, state["last"], strict=True):
+        for mouth, last, unknown in zip(self.mouths, state["last"], state["unknown"], strict=True):
             mouth.last = None if last is None else np.array(last)
             mouth.count = state["emitted"][mouth.row]
+            mouth.unknown, mouth.put_in = unknown
 
 
 def share_steps(simulation, law, cloud, sources):
@@ -204,7 +210,8 @@ def share_steps(simulation, law, cloud, sources):
 class Mouth(Region):
     """The region of an inflow: nodes that its particles reach, and the lattice that moves through it.
 
-    travelled: (dim,) m of the lattice since the start, `last` the same when particles were put in last, or None.
+    travelled: (dim,) m of the lattice since the start, `last` the same when particles were put in last, or None; `put_in` their
+    speed (m/s), `unknown` for how many steps the maxima over all particles do not tell it yet.
     """
 
     whole = True
@@ -214,6 +221,7 @@ class Mouth(Region):
         self.number, self.row, self.law, self.wave = number, row, law, wave
         self.real = np.dtype(scene.method.precision).type
         self.count, self.last, self.on, self.told = 0, None, False, False
+        self.unknown, self.put_in = 0, 0.0
         self.spacing = scene.domain.cell_size / round(inflow.particles_per_cell ** (1 / scene.dim))
         self.most = math.inf if inflow.limit is None else math.floor(inflow.limit / volume + DROPS)
         self.reached = Widened(inflow.shape, 0.5 * geometry.stencil.nodes * geometry.cell_size)
@@ -251,7 +259,7 @@ class Mouth(Region):
         return float(np.linalg.norm(self.velocity_at(max(time, self.motion.start))))
 
     def travel(self, dt):
-        self.told = False
+        self.told, self.unknown = False, max(self.unknown - 1, 0)
         if self.on:
             self.travelled += float(dt) * self.velocity
 
@@ -277,6 +285,7 @@ class Mouth(Region):
             enters &= ~shape.contains(self.at(number, last))
         x = x[enters][: int(min(self.most - self.count, len(x)))]
         self.count, self.last = self.count + len(x), self.travelled.copy()
+        self.unknown, self.put_in = LAG, float(np.linalg.norm(self.velocity))
         return x
 
     def at(self, number, travelled):

@@ -21,9 +21,10 @@ WATCHING = r"title|time\.end|output\..+|guard\..+|parallel\..+|exact\..+"
 DRIVING = (
     r"time\.(cfl|step|ramp)|domain\.gravity.*|domain\.walls\..+|method\.(damping|flip_blend|precision)"
     r"|materials\.[^.]+\.(?!model$|density$).+|motions\[\d+\]\.velocity.*"
-    r"|colliders\[\d+\]\.(surface.*|velocity.*|angular_velocity.*|shape\.file)|.*\.shape\.file"
+    r"|colliders\[\d+\]\.(surface.*|velocity.*|angular_velocity.*)"
     r"|inflows\[\d+\]\.(velocity.*|until|limit)"
 )
+MARKS = {"file": "checksum", "depth": "depth_checksum"}  # what knows a file again that lies elsewhere now
 EITHER_OR = {"time.step": "cfl", "time.cfl": "step"}  # of which a scene gives one
 
 
@@ -204,18 +205,34 @@ def changes(origin, scene):
     """Dotted keys of what differs between a scene and the one of the checkpoint. Raises SceneError if a run cannot take it."""
     before, after = (leaves(files.parse_toml(text, str(origin.path))) for text in (origin.text, scene.to_toml()))
     differing = [key for key in dict.fromkeys((*before, *after)) if before.get(key) != after.get(key)]
-    wrong = [key for key in differing if not re.fullmatch(f"{WATCHING}|{DRIVING}", key)]
+    wrong = [
+        key
+        for key in differing
+        if not (re.fullmatch(f"{WATCHING}|{DRIVING}", key) or same_file(key, before, after)) or closes(key, before)
+    ]
     if wrong:
         key = wrong[0]
         was, now = (value_text(held[key]) if key in held else "absent" for held in (before, after))
         raise SceneError(
             f"{origin.path}: {key} = {now} cannot change at a restart (it is {was} in the checkpoint): particles and grid are "
-            "what they are. These can: title, time.*, output.*, guard.*, parallel.*, exact.*, domain.gravity, domain.walls.*, "
+            "what they are. These can: title, time.*, output.*, guard.*, parallel.*, exact.*, domain.gravity, domain.walls.* that are not open, "
             "method.damping, method.flip_blend, method.precision, materials.*.* but model and density, motions[n].velocity, "
             "inflows[n].velocity, inflows[n].until, inflows[n].limit, "
             "colliders[n].surface, colliders[n].velocity, colliders[n].angular_velocity, and where a file of a shape lies"
         )
     return differing
+
+
+def same_file(key, before, after):
+    """Whether a key tells where a file lies that is the same in both."""
+    where, _, last = key.rpartition(".")
+    mark = f"{where}.{MARKS.get(last)}"
+    return mark in before and before[mark] == after.get(mark)
+
+
+def closes(key, before):
+    """Whether a change of a key closes a face that was open: particles may be beyond it."""
+    return key.startswith("domain.walls.") and before.get(key) == "open"
 
 
 def leaves(value, path=()):

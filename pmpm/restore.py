@@ -27,7 +27,9 @@ OWN = "restart"  # the group of a checkpoint that a snapshot has not
 RECORD, SCENE = f"{OWN}/record", f"{OWN}/scene"
 STORED_ELSEWHERE = ("x", "v")  # fields of a layout that lie under other names
 
-Count = Annotated[int, Field(ge=0)]
+MOST = 1 << 62  # that a count may be
+Count = Annotated[int, Field(ge=0, le=MOST)]
+Units = Annotated[int, Field(gt=-(MOST << 30), lt=MOST << 30)]  # which sums in two parts can hold
 Size = Annotated[float, Field(ge=0.0)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -78,16 +80,19 @@ class Obstacle(Numbers):
 
     shift: list[Finite]
     turn: list[list[Finite]]
-    impulse: list[int]
+    impulse: list[Units]
     told_time: Size
-    told: list[int]
+    told: list[Units]
     unit: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
     def fits(self, dim):
         """Whether it is of a scene of `dim` dimensions."""
         parts = 3 if dim == 2 else 6
         lengths = [len(self.shift), len(self.turn), *map(len, self.turn)], [len(self.impulse), len(self.told)]
-        return lengths == ([dim] * (2 + dim), [parts] * 2)
+        if lengths != ([dim] * (2 + dim), [parts] * 2):
+            return False
+        turn = np.array(self.turn)
+        return bool(np.abs(turn).max() < 2.0 and np.abs(turn @ turn.T - np.eye(dim)).max() < 1e-6)
 
 
 class Flow(Numbers):
@@ -97,6 +102,7 @@ class Flow(Numbers):
     left_steps: list[Count]
     emitted: list[Count]
     last: list[list[Finite] | None]
+    unknown: list[tuple[Count, Size]]
     taken: dict[str, Finite]
     brought: dict[str, Finite]
 
@@ -373,6 +379,8 @@ class Continuation:
             obstacle.resume(state.model_dump(), simulation.comm.rank)
 
     def resume_flow(self, simulation):
+        if simulation.scene.inflows and self.record.flow is None:
+            raise OutputError(f"{self.file.path} is damaged: it does not tell what has come in")
         if simulation.flow is not None and self.record.flow is not None:
             try:
                 simulation.flow.resume(self.record.flow.model_dump())

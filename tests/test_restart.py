@@ -4,6 +4,8 @@ Here on one process, for each law, scheme and spline; tests/mpi/test_restart_mpi
 tests/test_kills.py ends processes at any moment.
 """
 
+from pathlib import Path
+
 import fast_and_scalar
 import numpy as np
 import own_laws
@@ -247,3 +249,49 @@ def test_a_switch_that_needs_another_field_is_refused(tmp_path):
     told["materials"]["water"]["viscosity"] = 1.0  # FLIP keeps no C but for viscosity
     with pytest.raises(OutputError, match="particles of fluid hold J, this scene asks for C, J"):
         Simulation.restart(tmp_path / "a.hdf", Scene(**told))
+
+
+def with_outside_files(folder, **more):
+    """A layer of sand on ground, and a box and a mesh in one collider, of files in a folder."""
+    folder.mkdir()
+    np.save(folder / "ground.npy", np.full(5, 0.2))
+    np.save(folder / "depth.npy", np.full(5, 0.1))
+    (folder / "square.obj").write_bytes((Path(__file__).parent / "fuzz" / "square.obj").read_bytes())
+    return files_in(folder, **more)
+
+
+def files_in(folder, **more):
+    ground = {"type": "terrain", "file": str(folder / "ground.npy"), "spacing": 0.25}
+    square = {"type": "mesh", "file": str(folder / "square.obj"), "scale": 0.05, "move": [0.5, 0.5]}
+    box = {"type": "box", "min": [0.5, 0.5], "max": [0.7, 0.6]}
+    return Scene(
+        **{
+            "domain": {"size": [1.0, 1.0], "cell_size": 0.05, "gravity": [0.0, -9.81], "walls": {"x_max": "open"}},
+            "time": {"end": 1.0},
+            "materials": {"rubber": several_laws.MATERIALS["rubber"]},
+            "bodies": [{"material": "rubber", "shape": ground | {"depth": str(folder / "depth.npy")}}],
+            "colliders": [
+                {"shape": ground},
+                {"shape": {"type": "union", "of": [square, box]}, "velocity": [0.0, -1.0]},
+            ],
+        }
+        | more
+    )
+
+
+def test_files_of_a_scene_may_lie_elsewhere_at_a_restart_and_not_a_bit_changes(tmp_path):
+    simulation = Simulation(with_outside_files(tmp_path / "before"))
+    simulation.run(steps=5)
+    simulation.save(tmp_path / "a.hdf")
+    simulation.run(steps=5)
+    (tmp_path / "before").rename(tmp_path / "after")
+    again = Simulation.restart(tmp_path / "a.hdf", files_in(tmp_path / "after"))
+    again.run(steps=5)
+    assert bits_of(again) == bits_of(simulation)
+
+
+def test_an_open_face_cannot_be_closed_at_a_restart(tmp_path):
+    Simulation(with_outside_files(tmp_path / "files")).save(tmp_path / "a.hdf")
+    domain = {"size": [1.0, 1.0], "cell_size": 0.05, "gravity": [0.0, -9.81], "walls": {"x_max": "slip"}}
+    with pytest.raises(SceneError, match='domain.walls.x_max = "slip" cannot change at a restart .it is "open"'):
+        Simulation.restart(tmp_path / "a.hdf", files_in(tmp_path / "files", domain=domain))

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.outside import OutsideFile, check_path, checksum
+from pmpm.scene.surfaces import measures
 from pmpm.scene.values import check_number, checked, choice, either, number, number_told, text, vector
 
 KINDS = (".npy", ".npz", ".asc", ".tif", ".tiff")
@@ -101,14 +102,14 @@ class Terrain(OutsideFile):
     @model_validator(mode="after")
     def read(self) -> "Terrain":
         """Read the maps once, so that what is wrong with them is told now."""
-        ground = self.told("file", self.ground)
+        ground = self.read_for("file", self.ground)
         if isinstance(self.depth, str):
             found = checksum(self.depth)
             if self.depth_checksum not in (None, found):
                 changed = f"is not the file it was: its checksum is {found}, not {self.depth_checksum}"
                 raise Problems(Problem(("depth",), changed, self.depth))
             object.__setattr__(self, "depth_checksum", found)
-            layer = self.told("depth", self.layer)
+            layer = self.read_for("depth", self.layer)
             if layer.heights.shape != ground.heights.shape:
                 shapes = " and ".join("x".join(map(str, m.heights.shape)) for m in (layer, ground))
                 raise Problems(Problem(("depth",), f"has other samples than the ground: {shapes}", self.depth))
@@ -120,7 +121,7 @@ class Terrain(OutsideFile):
             raise Problems(Problem(("origin",), fits, list(self.origin)))
         return self
 
-    def told(self, key: str, read: Callable[[], HeightMap]) -> HeightMap:
+    def read_for(self, key: str, read: Callable[[], HeightMap]) -> HeightMap:
         """Return what is read, or raise Problems that name the key."""
         try:
             return read()
@@ -199,6 +200,13 @@ class Terrain(OutsideFile):
         high_ends = [numbers[-1] * step for numbers, step in zip(found, ground.spacing, strict=True)]
         bottom, top = ground.heights[held].min(), (ground.heights + np.maximum(depth, 0.0))[held].max()
         return corner + np.array([*low, bottom]), corner + np.array([*high_ends, top])
+
+    def told(self) -> str:
+        """One line about the map."""
+        ground = self.ground()
+        samples, low, high = "x".join(map(str, ground.heights.shape)), ground.heights.min(), ground.heights.max()
+        base = self.corner()[-1]
+        return f"{samples} heights, {measures(ground.size)} m, from {base + low:.6g} to {base + high:.6g} m"
 
     def misfits(self, dim: int) -> list[Problem]:
         """List what does not fit a scene of `dim` dimensions."""

@@ -12,6 +12,7 @@ from bits import state_bits
 import pmpm
 from pmpm import cli, guard
 from pmpm.failure import NumericalFailure
+from pmpm.output.files import OutputError
 from pmpm.scene.errors import SceneError
 from pmpm.scene.schema import Scene
 from pmpm.simulation import Simulation
@@ -261,3 +262,35 @@ def test_a_study_refuses_material_that_comes_and_goes(tmp_path):
         SceneError, match=r"x_max is open: levels are compared by material that is there from the start"
     ):
         study(scene(bodies=[BLOCK]), tmp_path / "study")
+
+
+def test_the_step_is_short_enough_for_a_stream_that_ends_as_it_begins():
+    """What it has put in is known to all ranks two steps later; until then nothing else in the scene bounds the step."""
+    one_sheet = AT_FIRST * CELL**2 / 4
+    for steps in (3, 4, 5):
+        simulation = run(scene(inflows=[MOUTH | {"limit": one_sheet, "start": 0.01}], time={"end": 0.6}), steps=steps)
+        assert simulation.dt <= 0.2 * CELL / 2.0
+    simulation.run(steps=20)
+    assert balance(simulation) == 0 < simulation.measure()["particles"]
+
+
+RECORDS = {
+    "more have left than can be counted": ("left", [0, 1 << 63]),
+    "shares that cannot be counted": ("left_steps", [0, 10**400]),
+    "more have come than can be counted": ("emitted", [0, 1 << 70]),
+    "a body has flowed in": ("emitted", [7, 48]),
+    "another number of inflows": ("unknown", []),
+    "nothing": (None, None),
+}
+
+
+@pytest.mark.parametrize("what", RECORDS)
+def test_a_record_of_flows_that_cannot_be_is_refused(what, tmp_path):
+    name, value = RECORDS[what]
+    simulation = run(scene(bodies=[BLOCK], inflows=[MOUTH]), steps=3)
+    told = simulation.flow.state()
+    wrong = None if name is None else told | {name: value}
+    with mock.patch.object(simulation.flow, "state", lambda: wrong):
+        simulation.save(tmp_path / "0.hdf")
+    with pytest.raises(OutputError, match="is damaged"):
+        Simulation.restart(tmp_path / "0.hdf")

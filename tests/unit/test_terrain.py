@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pmpm
+from pmpm.explain import explain
 from pmpm.scene.errors import SceneError
 from pmpm.scene.terrain import Terrain
 
@@ -164,3 +165,10 @@ def test_a_map_does_not_fit_a_scene_of_another_dimension(tmp_path):
     (tmp_path / "scene.toml").write_text(SCENE)
     with pytest.raises(SceneError, match=r"is a map of 1 axes, for 2 dimensions, not 3"):
         pmpm.Scene.from_toml(tmp_path / "scene.toml")
+
+
+def test_check_tells_of_the_ground(tmp_path):
+    np.save(tmp_path / "map.npy", 0.5 * TILTED)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    told = explain(pmpm.Scene.from_toml(tmp_path / "scene.toml"), 1)
+    assert "colliders[0].shape: 5x4 heights, 8 x 6 m, from 0.5 to 3 m" in told
