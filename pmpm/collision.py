@@ -100,9 +100,16 @@ class Obstacle:
             self.impulse = [a + int(b) for a, b in zip(self.impulse, found, strict=True)]
         self.found.clear()
         if self.collider.moves:
-            self.shift = self.shift + float(dt) * self.velocity
+            self.shift = self.shifted(float(dt))
             self.turn = rotation(float(dt) * self.spin) @ self.turn
             self.contact = None
+
+    def shifted(self, dt):
+        """How far (m) it will have moved at the end of a step: along a path as told, so that kinks do not add up to a drift."""
+        path = self.collider.path
+        if path is None:
+            return self.shift + dt * self.velocity
+        return path.displacement(self.time + dt) - path.displacement(0.0)
 
     def speed(self, time):
         """Bound (m/s) of what any part of its surface does at a time."""

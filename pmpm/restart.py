@@ -215,8 +215,9 @@ def changes(origin, scene):
         was, now = (value_text(held[key]) if key in held else "absent" for held in (before, after))
         raise SceneError(
             f"{origin.path}: {key} = {now} cannot change at a restart (it is {was} in the checkpoint): particles and grid are "
-            "what they are. These can: title, time.*, output.*, guard.*, parallel.*, exact.*, domain.gravity, domain.walls.* that are not open, "
-            "method.damping, method.flip_blend, method.precision, materials.*.* but model and density, motions[n].velocity, "
+            "what they are. These can: title, time.*, output.*, guard.*, parallel.*, exact.*, domain.gravity, "
+            "domain.walls.* that are not open, method.damping, method.flip_blend, method.precision, "
+            "materials.*.* but model and density, motions[n].velocity, "
             "inflows[n].velocity, inflows[n].until, inflows[n].limit, "
             "colliders[n].surface, colliders[n].velocity, colliders[n].angular_velocity, and where a file of a shape lies"
         )

@@ -14,8 +14,8 @@ GROUND = 200  # of a height map, along the longer axis
 
 
 def outlines(scene):
-    """Surfaces of the colliders of a scene (see reader.Run.table), as far as a file tells them; those whose own file is gone
-    are left out, and in space all but ground and meshes need PyVista."""
+    """Surfaces of the colliders of a scene (see reader.Run.table), as far as a file tells them; those that functions move and
+    those whose own file is gone are left out, and in space all but ground and meshes need PyVista."""
     found = []
     for table in scene.get("colliders", ()):
         collider = read(table)
@@ -25,12 +25,11 @@ def outlines(scene):
 
 
 def read(table):
-    """The Collider of a table, or None where it is a function or its file cannot be read."""
+    """The Collider of a table, or None where a function tells what or where it is, or its file cannot be read."""
     from pmpm.scene.colliders import Collider
 
-    known = {key: value for key, value in table.items() if not str(value).startswith("python:")}
     try:
-        return Collider.model_validate(known)
+        return Collider.model_validate(table)
     except ValidationError:
         return None
 

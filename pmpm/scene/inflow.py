@@ -74,6 +74,9 @@ class Inflow(Part):
             width = f"{high[axis] - low[axis]:.6g} m along {AXES[axis]}"
             text = f"is too thin: {width}, at least {THINNEST:g} cells = {THINNEST * cell_size:.6g} m where the stream moves"
             yield Problem(("shape",), text)
+        if self.limit is not None and self.limit < (1.0 - 1e-9) * spacing**dim:
+            unit = "m2" if dim == 2 else "m3"
+            yield Problem(("limit",), f"{unit} is less than one particle has, {spacing**dim:.6g} {unit}", self.limit)
         if not thin and math.prod((high - low) / spacing) < 1e6:
             places = (lattice_range((low, high), spacing, np.zeros(dim)) + 0.5) * spacing
             if not self.shape.contains(places).any():

@@ -199,3 +199,14 @@ def test_bodies_are_cut_out_where_a_collider_is():
     whole = simulation(RUBBER, [box([0.2, 0.2], [0.8, 0.8])], [{"shape": ball, "cut": False}])
     held = np.linalg.norm(whole.particles.x - 0.5, axis=1) < 0.2
     assert around.rows() == whole.rows() - np.count_nonzero(held) < whole.rows()
+
+
+def test_kinks_of_a_path_add_up_to_no_drift():
+    """Forwards fast and backwards slowly, in pieces that steps do not divide."""
+    times = np.arange(41) * 0.0107
+    way = np.where(np.arange(41) % 3 == 1, 0.02, 0.0)
+    path = {"times": times.tolist(), "displacements": np.stack([way, -way], axis=1).tolist()}
+    collider = {"shape": box([0.6, 0.6], [0.7, 0.7]), "path": path}
+    s = simulation(RUBBER, [box([0.1, 0.1], [0.2, 0.2])], [collider, plane([0.0, 0.1], [0.0, 1.0])])
+    s.run(until=0.3)
+    assert s.drive.obstacles[0].shift == pytest.approx(s.scene.colliders[0].path.displacement(s.time), abs=1e-12)

@@ -290,7 +290,12 @@ def test_a_record_of_flows_that_cannot_be_is_refused(what, tmp_path):
     simulation = run(scene(bodies=[BLOCK], inflows=[MOUTH]), steps=3)
     told = simulation.flow.state()
     wrong = None if name is None else told | {name: value}
-    with mock.patch.object(simulation.flow, "state", lambda: wrong):
+    with mock.patch.object(simulation.flow, "state", return_value=wrong):
         simulation.save(tmp_path / "0.hdf")
     with pytest.raises(OutputError, match="is damaged"):
         Simulation.restart(tmp_path / "0.hdf")
+
+
+def test_a_stream_of_less_than_a_particle_is_refused():
+    with pytest.raises(SceneError, match=r"inflows\[0\].limit = 1e-12 m2 is less than one particle has, 0.000625 m2"):
+        scene(inflows=[MOUTH | {"limit": 1e-12}])
