@@ -35,7 +35,7 @@ class Beginning:
         estimate.refuse_memory(scene, simulation.needs, geometry, comm)
         first, last = (geometry.layers * r // comm.size for r in (comm.rank, comm.rank + 1))
         counts, loaded = map(comm.sum, counted(scene, geometry, first, last))
-        refuse_empty(counts.sum(axis=1))
+        refuse_empty(counts.sum(axis=1), scene)
         self.loads = load_accelerations(scene, loaded)
         laws = np.array([simulation.needs.laws.index(law_of_body(scene, body)) for body in scene.bodies], int)
         self.counts = np.zeros((geometry.layers, len(simulation.needs.laws)), np.int64)
@@ -121,13 +121,16 @@ def counted(scene, geometry, first, last):
     return counts, loaded
 
 
-def refuse_empty(counts):
+def refuse_empty(counts, scene):
     """Raise SceneError if a body gets no particles; counts (bodies,)."""
     for number, found in enumerate(counts):
         if found == 0:
+            low, high = scene.bodies[number].shape.bounds()
+            size = " x ".join(f"{length:.3g}" for length in high - low)
+            cut = ", or inside of a collider, which cuts bodies" if any(c.cut for c in scene.colliders) else ""
             raise SceneError(
                 f"scene: bodies[{number}] holds no particle: it is smaller than the distance between particles, "
-                "empty, or covered by later bodies"
+                f"empty, covered by later bodies{cut}. It is {size} m, a cell {scene.domain.cell_size:g} m"
             )
 
 
@@ -150,7 +153,7 @@ def rehearse(scene, geometry):
                     displaced(geometry, body, seeds)
                 except Unfit as complaint:
                     raise SceneError(complaint_text(number, body, "displacement", complaint)) from None
-    refuse_empty(counts)
+    refuse_empty(counts, scene)
     if not loaded.all():
         raise SceneError(load_on_nothing(int(np.argmin(loaded))))
     return counts

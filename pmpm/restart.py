@@ -95,7 +95,9 @@ def begin(path, scene, overrides, out, overwrite, comm):
     changed = changes(origin, scene)
     if status == "finished" and not changed and in_place and not overwrite:
         return Begin(
-            None, out, message=f"{path} has finished, nothing is left to do; a later time.end would continue it"
+            None,
+            out,
+            message=f"{path} has finished, nothing is left to do; --set time.end=T with a later T would continue it",
         )
     return Begin(scene, out, origin)
 
@@ -127,7 +129,8 @@ def begin_without_checkpoint(path, scene, overrides, out, in_place, status, text
         if text == scene.to_toml():
             return Begin(None, out, message=f"{path} has finished, nothing is left to do")
         raise SceneError(
-            f"--restart {path}: has finished and holds no checkpoint from which to go on with a changed scene"
+            f"--restart {path}: has finished and holds no checkpoint from which to go on with a changed scene; "
+            "output.checkpoint_interval keeps some"
         )
     return Begin(scene, out, None, in_place, f"{path} holds no checkpoint yet: the run begins anew")
 

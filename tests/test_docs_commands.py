@@ -62,6 +62,7 @@ BEFORE = {
     "README.md": ["pmpm run dam_break"],
     "docs/reliability.md": ["pmpm run SCENE --out DIR"],
     "docs/api.md": [],
+    "docs/paraview.md": ["pmpm run dam_break_3d"],
 }
 # Runs of the gallery are those of docs/make_gallery.py, which calls these very commands: here scenes are checked.
 ONLY_CHECKED = ("docs/gallery.md",)

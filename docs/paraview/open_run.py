@@ -20,7 +20,8 @@ def spacing_and_up(folder):
     domain = scene["domain"]
     gravity, dim = domain["gravity"], len(domain["size"])
     up = max(range(dim), key=lambda axis: abs(gravity[axis])) if any(gravity) else dim - 1
-    return domain["cell_size"] / min(body["particles_per_cell"] for body in scene["bodies"]) ** (1.0 / dim), up
+    sources = [*scene.get("bodies", ()), *scene.get("inflows", ())]
+    return domain["cell_size"] / min(source["particles_per_cell"] for source in sources) ** (1.0 / dim), up
 
 
 def show(folder, picture=None):

@@ -23,6 +23,7 @@ from pmpm.output.pictures import Surface, figure_class, plain, save
 from pmpm.output.progress import LINE_INTERVAL
 from pmpm.output.reader import load, reading
 from pmpm.output.run_directory import SCENE
+from pmpm.state.fields import OUTPUT_NAMES
 
 STILLS, FILMS = (".png", ".pdf", ".svg"), (".gif", ".mp4")
 MOST = 200_000  # particles of a picture: of more every n-th is drawn
@@ -292,8 +293,11 @@ def scalars(snapshot, field):
     """(n,) numbers of a field; of a vector its length. OutputError for a field that the snapshot has not, or of tensors."""
     with reading(snapshot.path) as file:
         held = file["VTKHDF/PointData"]
+        if field == "speed" and field not in held and "velocity" in held:
+            field = "velocity"  # whose length it is
         if field not in held:
-            raise OutputError(f"{snapshot.path} holds no field {field}; it holds {', '.join(sorted(held))}")
+            advice = "; add it to output.fields of the scene and run it again" if field in OUTPUT_NAMES else ""
+            raise OutputError(f"{snapshot.path} holds no field {field}; it holds {', '.join(sorted(held))}{advice}")
         values = held[field][...]
     if values.ndim == 2 and values.shape[1] > 3:
         raise OutputError(f"--field {field}: a tensor has no colour; von_mises_stress and pressure are numbers")
@@ -368,7 +372,10 @@ def draw_surfaces(axes, view, time):
             from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
             corners = points[np.asarray(surface.triangles)]
-            axes.add_collection3d(Poly3DCollection(corners, facecolor="#b8b0a0", alpha=surface.opacity, lw=0))
+            axes.computed_zorder = (
+                False  # it sorts whole collections by their middles: particles come before what they lie on
+            )
+            axes.add_collection3d(Poly3DCollection(corners, facecolor="#b8b0a0", alpha=surface.opacity, lw=0, zorder=0))
 
 
 def marker_area(view, every):

@@ -99,6 +99,7 @@ class Stage:
         """(height, width, 3) bytes of particles at x (n, dim) m with values (n,), at a time in s."""
         view, plotter, height = self.view, self.plotter, self.size[1]
         plotter.clear_actors()
+        plotter.scalar_bars.clear()  # else a bar with the same title is thought to be there
         letters = max(8, round(0.019 * height))
         if len(x):
             cloud = self.pyvista.PolyData(in_space(x))

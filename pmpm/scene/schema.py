@@ -22,7 +22,7 @@ from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_err
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import record
 from pmpm.scene.seeding import SEEDINGS, fits_lattice
-from pmpm.scene.shapes import AXES, Shape, wrong_length
+from pmpm.scene.shapes import AXES, Shape, shapes_at, wrong_length
 from pmpm.scene.values import (
     CONTROLS,
     Checked,
@@ -524,6 +524,13 @@ class Scene(Part):
             problems += [
                 Problem(("materials", name, *problem.path), problem.text, problem.value)
                 for problem in material.wrong_law(self.dim)
+            ]
+        if not problems:
+            problems += [
+                Problem((*path, *problem.path), problem.text, problem.value)
+                for path, shape in shapes_at(self)
+                if shape.type == "terrain"
+                for problem in shape.misses(self.domain.size)
             ]
         if problems:
             raise Problems(*problems)

@@ -354,9 +354,15 @@ def leaves_of(shape: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tu
 
 def shapes_in(scene: Any) -> Iterator[tuple[str, Any]]:
     """Yield (dotted key, shape) of all shapes of a scene that have none within."""
+    yield from ((path_text(path), shape) for path, shape in shapes_at(scene))
+
+
+def shapes_at(scene: Any) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """Yield (path, shape) of the same."""
     for key in ("bodies", "inflows", "loads", "motions", "colliders"):
-        for index, part in enumerate(part for part in getattr(scene, key) if part.shape is not None):
-            yield from ((path_text((key, index, "shape", *path)), shape) for path, shape in leaves_of(part.shape))
+        for index, part in enumerate(getattr(scene, key)):
+            if part.shape is not None:
+                yield from (((key, index, "shape", *path), shape) for path, shape in leaves_of(part.shape))
 
 
 def distances(shapes: tuple[Any, ...], points: np.ndarray) -> list[np.ndarray]:

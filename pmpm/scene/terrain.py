@@ -15,6 +15,7 @@ from pmpm.scene.surfaces import measures
 from pmpm.scene.values import check_number, checked, choice, either, number, number_told, text, vector
 
 KINDS = (".npy", ".npz", ".asc", ".tif", ".tiff")
+LEAST_COVERED = 1e-3  # of the domain, along an axis: less is a map in other units
 HEIGHTS = ("elevation", "height", "z", "depth")  # names of arrays in .npz files, the first that is there
 
 
@@ -207,6 +208,20 @@ class Terrain(OutsideFile):
         samples, low, high = "x".join(map(str, ground.heights.shape)), ground.heights.min(), ground.heights.max()
         base = self.corner()[-1]
         return f"{samples} heights, {measures(ground.size)} m, from {base + low:.6g} to {base + high:.6g} m"
+
+    def misses(self, size: tuple[float, ...]) -> list[Problem]:
+        """List the axes along which the map lies nowhere under a domain of this size (m)."""
+        low = self.corner()[:-1]
+        return [
+            Problem(
+                ("origin",),
+                f"m puts the map from {low[axis]:.6g} to {low[axis] + extent:.6g} m along {'xyz'[axis]}, the domain goes "
+                f"from 0 to {size[axis]:.6g} m: is `spacing` in metres?",
+                None if self.origin is None else list(self.origin),
+            )
+            for axis, extent in enumerate(self.ground().size)
+            if not (low[axis] < size[axis] and low[axis] + extent > 0.0) or extent < LEAST_COVERED * size[axis]
+        ]
 
     def misfits(self, dim: int) -> list[Problem]:
         """List what does not fit a scene of `dim` dimensions."""

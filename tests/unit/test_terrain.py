@@ -160,6 +160,14 @@ def test_paths_count_from_the_scene_and_are_known_again_by_their_checksum(tmp_pa
         pmpm.Scene.from_text(scene.to_toml())
 
 
+@pytest.mark.parametrize(("key", "value"), [("spacing", 0.0008), ("origin", [-100.0, 0.0])])
+def test_a_map_that_lies_nowhere_under_the_domain_is_refused(key, value, tmp_path):
+    np.save(tmp_path / "map.npy", 0.5 * TILTED)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    with pytest.raises(SceneError, match=r"colliders\[0\].shape.origin.*puts the map from.*along x.*metres"):
+        pmpm.Scene.from_toml(tmp_path / "scene.toml", {f"colliders.0.shape.{key}": value})
+
+
 def test_a_map_does_not_fit_a_scene_of_another_dimension(tmp_path):
     np.save(tmp_path / "map.npy", TILTED[0])
     (tmp_path / "scene.toml").write_text(SCENE)
