@@ -21,7 +21,7 @@ from pmpm.scene.materials import AnyMaterial, Material
 from pmpm.scene.messages import ABSENT, Problem, Problems, known_text, scene_error, value_text
 from pmpm.scene.part import Part
 from pmpm.scene.recorded import record
-from pmpm.scene.seeding import SEEDINGS, fits_lattice
+from pmpm.scene.seeding import SEEDINGS, fits_lattice, spread_places
 from pmpm.scene.shapes import AXES, Shape, shapes_at, wrong_length
 from pmpm.scene.values import (
     CONTROLS,
@@ -44,6 +44,7 @@ from pmpm.state.fields import Field as StoredField
 WALLS = ("stick", "slip", "separate", "friction", "free", "open")
 CFL = 0.4
 DEPTHS = 16  # at which a stress is tried
+PLACES_OF_INFLOW = 2000  # that are asked whether they lie in a collider
 FLIP_BLEND = 0.99
 ENERGY_GAIN = 0.3
 SNAPSHOTS, DIAGNOSTICS = 50, 200
@@ -532,6 +533,8 @@ class Scene(Part):
                 if shape.type == "terrain"
                 for problem in shape.misses(self.domain.size)
             ]
+        if not problems and self.inflows and self.colliders:
+            problems += self.blocked_inflows()
         if problems:
             raise Problems(*problems)
         settle(self, materials={name: material.complete(self.dim) for name, material in self.materials.items()})
@@ -618,6 +621,19 @@ class Scene(Part):
         end = self.time.end if inflow.until is None else inflow.until
         if inflow.start >= end:
             yield Problem((*here, "start"), f"s must be < {end} s, when the stream ends", inflow.start)
+
+    def blocked_inflows(self) -> Iterator[Problem]:
+        """Yield inflows that lie in colliders at the start: each would undo what the other does to the nodes there."""
+        for index, inflow in enumerate(self.inflows):
+            low, high = inflow.shape.bounds()
+            places = low + (high - low) * spread_places(PLACES_OF_INFLOW, self.dim)
+            places = places[inflow.shape.contains(places)]
+            for collider in named(self.colliders):
+                part = float(np.mean(collider.signed_distance(places, 0.0) < 0.0)) if len(places) else 0.0
+                if part > 0.0:
+                    yield Problem(
+                        ("inflows", index, "shape"), f"lies in the collider {collider.name}, {part:.2g} of it"
+                    )
 
     def wrong_material(self, source: Body | Inflow, here: tuple[str | int, ...]) -> Iterator[Problem]:
         if source.material not in self.materials:

@@ -112,6 +112,8 @@ def scenes(draw, row=None, telling=0):
         table["colliders"] = [draw(collider(cells, h, number)) for number in range(draw(st.integers(0, 2)))]
     if draw(st.booleans()):
         table["inflows"] = [draw(inflow(names, cells, h)) for _ in range(draw(st.integers(0, 2)))]
+        if table["inflows"]:
+            table.pop("colliders", None)  # which must not lie in an inflow
         if table["inflows"] and draw(st.booleans()):
             del table["bodies"]
             table.pop("loads", None)

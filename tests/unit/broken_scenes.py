@@ -715,6 +715,11 @@ BROKEN = [
         GOOD + '[parallel]\nslab_axis = "z"\n',
         ['parallel.slab_axis = "z" must be one of x, y in a 2-D scene'],
     ),
+    (
+        "a collider in an inflow",
+        GOOD_3D + INFLOW + '[[colliders]]\nshape = { type = "sphere", center = [0.1, 0.1, 0.05], radius = 0.03 }\n',
+        ["inflows[0].shape lies in the collider collider_0, 0."],
+    ),
     ("a collider of nothing", GOOD + "[[colliders]]\n", ["colliders[0] must give a shape", "not none"]),
     (
         "a collider's surface",
