@@ -99,11 +99,9 @@ SCENES = {
     "colliding disks": lambda: pmpm.Scene.builtin("colliding_disks"),
     "water and sand": lambda: scene({"water": WATER, "sand": SAND}),
     "water, MLS": lambda: scene({"water": WATER}, transfer="mls"),
-    "float32, 2-D": lambda: scene(ALL_LAWS, "float32", dim=2, periodic=["x"]),
-    "float32, 3-D": lambda: scene(ALL_LAWS, "float32", dim=3, periodic=["x"]),
+    "float32, 2-D": lambda: scene(ALL_LAWS, "float32", dim=2, periodic=["x"], colliders=in_the_way(2)),
+    "float32, 3-D": lambda: scene(ALL_LAWS, "float32", dim=3, periodic=["x"], colliders=in_the_way(3)),
     "float32, FLIP and F-bar": lambda: scene({"rubber": RUBBER}, "float32", "flip", f_bar=True),
-    "float32, colliders, 2-D": lambda: scene({"rubber": RUBBER}, "float32", colliders=in_the_way(2)),
-    "float32, colliders, 3-D": lambda: scene({"rubber": RUBBER}, "float32", dim=3, colliders=in_the_way(3)),
     "float32, 3-D, water": lambda: scene({"water": WATER}, "float32", dim=3),
 }
 
@@ -174,8 +172,6 @@ def test_mls_computes_no_weight_gradients(simulation_of):
         ("scalar", "float32, 3-D"),
         ("lanes", "float32, FLIP and F-bar"),
         ("scalar", "float32, FLIP and F-bar"),
-        ("scalar", "float32, colliders, 2-D"),
-        ("scalar", "float32, colliders, 3-D"),
     ],
 )
 def test_float32_kernels_hold_no_double_arithmetic(simulation_of, loops, scene_name):
