@@ -69,5 +69,6 @@ def test_the_script_opens_the_index_by_its_full_path_with_spheres_as_wide_as_par
     simple.Xdmf3ReaderS.assert_called_once_with(FileName=[str(run / "snapshots.xdmf")])
     view = simple.GetActiveViewOrCreate.return_value
     assert view.CameraViewUp == [0.0, 1.0, 0.0]
+    assert view.CameraPosition == [0.5, 0.5, 1.0]  # not along what is up
     assert simple.Show.return_value.GaussianRadius == pytest.approx(0.62 * 0.025)
     simple.SaveScreenshot.assert_called_once_with(str(tmp_path / "a.png"), view)
