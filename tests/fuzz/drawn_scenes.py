@@ -284,9 +284,10 @@ def body(draw, name, table, cells, long, half, h, gravity, own_kernels):
     count = draw(maybe(st.sampled_from((3, 4, 5) if dim == 2 else (4, 6, 8))))
     seedings = ["jittered", "poisson_disk", *(["lattice"] if count in (None, 2**dim) else [])]
     seedings += ["quadrature"] if own_kernels and count in (None, 2**dim) else []
+    filled = draw(st.sampled_from((True,) * 5 + (False,)))
     made = {
         "material": name,
-        "shape": in_metres(draw(st.one_of(*[shape(cells, long, half, dim)] * 5, points(cells, long, half))), h),
+        "shape": in_metres(draw(shape(cells, long, half, dim) if filled else points(cells, long, half)), h),
         "particles_per_cell": count,
         "seeding": draw(maybe(st.sampled_from(seedings))),
         "velocity": draw(maybe(vectors(-0.2, 0.2, dim) | st.just([0] * dim))),
