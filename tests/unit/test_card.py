@@ -35,10 +35,20 @@ def block(model, dim=3, **changes):
 @pytest.mark.parametrize("capability", CAPABILITIES, ids="sm_{0[0]}{0[1]}".format)
 @pytest.mark.parametrize(("law", "dim"), [*((law, 3) for law in LAWS), ("sand", 2)])
 def test_kernels_in_float32_have_no_double_arithmetic_no_stack_and_spill_nothing(law, dim, capability):
-    found = {
-        noted.name: assembler.assemble(noted.ptx(capability), capability) for noted in kernels_of(block(LAWS[law], dim))
-    }
-    assert {"p2g 0", "g2p 0", "mark", "sum_energies 0", "find_homes", "move_by_digit", "gather_fields"} <= set(found)
+    ball = {"shape": {"type": "sphere", "center": [0.3] * dim, "radius": 0.1}}
+    rubbing = ball | {"surface": {"type": "friction", "coefficient": 0.3}}
+    noted = kernels_of(block(LAWS[law], dim, colliders=[rubbing]))
+    found = {kernel.name: assembler.assemble(kernel.ptx(capability), capability) for kernel in noted}
+    assert {
+        "p2g 0",
+        "g2p 0",
+        "collider friction",
+        "mark",
+        "sum_energies 0",
+        "find_homes",
+        "move_by_digit",
+        "gather_fields",
+    } <= set(found)
     costly = {name: made for name, made in found.items() if made.doubles or made.stack or made.spills}
     assert costly == {}
     # It would be cheap to find nothing in a text of another form.
@@ -58,6 +68,7 @@ CASES = {
     "flip, periodic": {"method": {"transfer": "flip"}, "domain": {"size": [0.8, 0.8], "periodic": ["x", "y"]}},
     "f-bar, damped": {"method": {"transfer": "apic", "f_bar": True, "damping": 1.0}},
     "no gravity, stick": {"domain": {"gravity": [0.0, 0.0], "walls": {"y_min": "stick"}}},
+    "colliders": {"colliders": [{"shape": {"type": "sphere", "center": [0.3, 0.3], "radius": 0.1}}]},
     "driven": {"motions": [{"shape": {"type": "box", "min": [0.0, 0.0], "max": [0.8, 0.2]}, "velocity": [0.0, 0.0]}]},
 }
 
@@ -65,7 +76,9 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_a_step_calls_the_kernels_that_check_tells_and_no_other(case):
     scene = block(
-        "neo_hookean", 2, **{key: dict(value) if key != "motions" else value for key, value in CASES[case].items()}
+        "neo_hookean",
+        2,
+        **{key: dict(value) if isinstance(value, dict) else value for key, value in CASES[case].items()},
     )
     told = {name for names in card_kernels(scene, scene_needs(scene)).values() for name in names}
     called = {re.sub(r" \d+$", "", noted.name) for noted in kernels_of(scene)}
