@@ -39,7 +39,7 @@ SHOWN = {
         expect="The end sinks by 0.304 L, 1.5 % more than the elastica of its length, which knows no shear (0.8 %).",
     ),
     "chute_flow": Shown(
-        takes="10 s", expect="The same speeds within 2 %; as much has left in 0.3 s as has come in, to 15 digits."
+        takes="5 s", expect="The same speeds within 2 %; as much has left in 0.3 s as has come in, to 15 digits."
     ),
     "colliding_disks": Shown(
         "pressure",
@@ -64,7 +64,7 @@ SHOWN = {
     ),
     "hopper": Shown(
         snapshot=20,
-        takes="10 s",
+        takes="30 s",
         expect="22.8 to 23.5 % of the sand each 0.2 s, from 0.1 to 0.7 s: it hardly slows down.",
     ),
     "jet": Shown("pressure", takes="5 s", expect="Two films of 0.01025 m, 2.5 % thicker than half the jet."),
@@ -85,7 +85,7 @@ SHOWN = {
         snapshot=35, takes="20 s", expect="The force grows with the heap, from 48 N/m at 0.1 s to 158 N/m at 1.4 s."
     ),
     "rotating_drum": Shown(
-        snapshot=60, takes="one minute", expect="A slope of 28 to 30 degrees; the angle of friction is 30."
+        snapshot=60, takes="30 s", expect="A slope of 28 to 30 degrees; the angle of friction is 30."
     ),
     "sliding_block": Shown(takes="3 s", expect="0.2870 m in 0.6 s, 0.3 % more than a rigid block."),
     "slope_failure": Shown(

@@ -20,7 +20,6 @@ NORMAL_STEP = 1e-3  # cells: over which the distance is differenced
 SAMPLES = 0.5  # cells between samples of a distance that takes long to find
 ON_SURFACE = 1e-9  # cells: nodes no farther out than this are inside
 UNITS = 58  # powers of two below the largest momentum that a scene may hold
-SMALLEST_UNIT = 2.0**-100  # whose inverse float32 can hold
 LIMB = 1 << 40  # in which numbers of units are summed over ranks
 
 
@@ -65,7 +64,7 @@ class Obstacle:
         self.per_unit, self.per_reach = real(1.0 / unit), real(1.0 / self.length)
         self.shift, self.turn = np.zeros(self.dim), np.eye(self.dim)
         self.velocity, self.spin = np.zeros(self.dim), np.zeros(1 if self.dim == 2 else 3)
-        self.time = 0.0
+        self.time = math.nan  # of the step to come
         self.parts = self.dim + len(self.spin)
         self.found: list[np.ndarray] = []  # of this step, whole numbers of units
         self.impulse = [0] * self.parts  # units given to it since the run began, as far as this rank has counted them
@@ -85,7 +84,9 @@ class Obstacle:
         self.contact = None
 
     def start(self, time):
-        """Take the velocities of a step that begins at `time` (s)."""
+        """Take the velocities of a step that begins at `time` (s): functions are asked once for each time."""
+        if time == self.time:
+            return
         collider, self.time = self.collider, time
         if collider.velocity is not None:
             self.velocity = np.array(velocity_at(collider.velocity, time))
@@ -287,14 +288,14 @@ def sampled_distance(shape, cell_size):
     return SampledDistance(shape, SAMPLES * cell_size) if np.isfinite([low, high]).all() else None
 
 
-def unit_of_momentum(scene, needs, tables):
-    """kg m/s, a power of two: far below what matters, far above what would overflow."""
+def unit_of_momentum(scene, needs, tables, real):
+    """kg m/s, a power of two: far below what matters, far above what would overflow, and with an inverse in this precision."""
     density = max(material.parameters["density"] for material in scene.materials.values())
     by_waves = estimate.stable_bounds(scene, needs, tables)[0]
     fall = math.sqrt(float(np.linalg.norm(scene.domain.gravity)) * max(scene.domain.size))
     speed = max(scene.domain.cell_size / by_waves, fall) or 1.0
     most = density * math.prod(scene.domain.size) * speed
-    return max(2.0 ** (math.floor(math.log2(most)) - UNITS), SMALLEST_UNIT)
+    return max(2.0 ** (math.floor(math.log2(most)) - UNITS), 4.0 * float(np.finfo(real).tiny))
 
 
 def path_velocity(path, time, dim):

@@ -52,9 +52,9 @@ class Drive:
         heads = halo.heads() if self.obstacles else b""
         if heads != self.heads:
             self.heads, self.others = heads, halo.earlier_nodes()
-        for obstacle in self.obstacles:
-            if obstacle.contact is not None:
-                obstacle.contact.disown(self.others)
+            for obstacle in self.obstacles:
+                if obstacle.contact is not None:
+                    obstacle.contact.disown(self.others)
 
     def fastest(self, time):
         """Bound in m/s of what the surface of a collider does."""
@@ -99,7 +99,7 @@ def obstacles_of(scene, needs, tables, real):
         return []
     from pmpm.collision import Obstacle, unit_of_momentum
 
-    unit = unit_of_momentum(scene, needs, tables)
+    unit = unit_of_momentum(scene, needs, tables, real)
     return [Obstacle(collider, scene, real, unit) for collider in scene.colliders]
 
 

@@ -23,7 +23,7 @@ from pmpm.scene.functions import Unfit
 from pmpm.scene.needs import law_of_body, open_faces
 from pmpm.scene.seeding import id_offsets, lattice_range
 from pmpm.state.derived import MASS, VOLUME0
-from pmpm.state.fields import SHARE_STEPS
+from pmpm.state.fields import SHARE_STEPS, in_steps
 from pmpm.state.particles import Cloud, Ordered, Population
 from pmpm.timestep import LAG
 
@@ -199,11 +199,8 @@ class Flow:
 
 def share_steps(simulation, law, cloud, sources):
     """(sources,) sums of the shares of a Cloud of a law, in SHARE_STEPS."""
-    where, steps = simulation.layouts[law].where("share"), np.full(len(cloud.row), SHARE_STEPS, np.int64)
-    if where is not None:
-        steps = np.rint(cloud.reals[:, where][:, 0].astype(np.float64) * SHARE_STEPS).astype(np.int64)
-    found = np.zeros(sources, np.int64)
-    np.add.at(found, cloud.row, steps)
+    where, found = simulation.layouts[law].where("share"), np.zeros(sources, np.int64)
+    np.add.at(found, cloud.row, SHARE_STEPS if where is None else in_steps(cloud.reals[:, where]))
     return found
 
 

@@ -10,7 +10,7 @@ from pmpm.kernels.needs import labels
 from pmpm.output.datasets import Later
 from pmpm.physics.materials import law_of
 from pmpm.state.derived import MASS
-from pmpm.state.fields import OPTIONAL, SHARE_STEPS, Field
+from pmpm.state.fields import OPTIONAL, SHARE_STEPS, Field, in_steps
 
 CRUSHED = 0.01  # of the volume: no solid or liquid there is
 
@@ -135,8 +135,8 @@ def share_steps(simulation):
     found = [np.zeros(len(table), np.int64) for table in simulation.tables]
     for group in simulation.derived_groups(np.float64):
         for sums, derived in zip(found, group, strict=True):
-            steps = np.rint(derived.field("share")[:, 0].astype(np.float64) * SHARE_STEPS).astype(np.int64)
-            np.add.at(sums, derived.population.per_particle(derived.population.block_row), steps)
+            row = derived.population.per_particle(derived.population.block_row)
+            np.add.at(sums, row, in_steps(derived.field("share")))
     return found
 
 

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from pmpm.kernels.places import PADDING
+from pmpm.scene.needs import NOT_HELD
 from pmpm.scene.watched import upright
 from pmpm.state.particles import layer_groups
 
@@ -171,7 +172,8 @@ def along(simulation, axis, x, place, mirrored=True):
 
 
 def has_mirror(simulation, axis, face):
-    return simulation.scene.domain.wall(f"{'xyz'[axis]}_{face}").type != "free"
+    """Whether a face is a wall that holds material: a mirror of it."""
+    return simulation.scene.domain.wall(f"{'xyz'[axis]}_{face}").type not in NOT_HELD
 
 
 def spline(stencil, distance):

@@ -384,10 +384,10 @@ def collide(nodes, numbers, first, last, normals, velocities, arms, counted, coe
             cuda.atomic.add(found, DIMENSIONS + q, whole(torque[q] * per_reach))
 
 
-def impose(nodes, numbers, last, velocity, whole):
-    """Give its velocity to those nodes of a region that hold material, or to the whole of it."""
+def impose(nodes, numbers, last, velocity, everywhere):
+    """Give its velocity to those nodes of a region that hold material, or to all of them."""
     i = cuda.grid(1)
-    if i < last and (whole or nodes[numbers[i], 3] > 0.0):
+    if i < last and (everywhere or nodes[numbers[i], 3] > 0.0):
         for q in range(DIMENSIONS):
             nodes[numbers[i], q] = velocity[q]
 

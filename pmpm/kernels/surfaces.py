@@ -12,6 +12,10 @@ What a point is told depends on the point and the surface alone, not on the poin
 import math
 from functools import cache
 
+from pmpm.physics.tensors2 import dot as dot_2
+from pmpm.physics.tensors3 import dot as dot_3
+from pmpm.physics.tensors3 import moment as cross
+
 DIM = 3
 FAR = 2.0  # radii of a node from where its elements count as one: together wrong by less than 0.1 of a winding
 EMPTY, CUT, OUT, IN = 0, 1, 2, 3  # boxes of the grid over a surface, see find_inside
@@ -19,14 +23,6 @@ NEAR = 1e-6  # of a box: how far round-off may carry
 
 
 # ---- vectors ----------------------------------------------------------------------------------------------------------------
-
-
-def dot_2(p, q):
-    return p[0] * q[0] + p[1] * q[1]
-
-
-def dot_3(p, q):
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 
 
 def minus_2(p, q):
@@ -51,10 +47,6 @@ def corner_2(elements, e, i):
 
 def corner_3(elements, e, i):
     return (elements[e, i, 0], elements[e, i, 1], elements[e, i, 2])
-
-
-def cross(p, q):
-    return (p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0])
 
 
 # ---- winding numbers --------------------------------------------------------------------------------------------------------

@@ -66,8 +66,6 @@ def write_mp4(file, frames):
                 process.stdin.write(first.tobytes())
                 for frame in frames:
                     process.stdin.write(frame.tobytes())
-            with contextlib.suppress(BrokenPipeError):
-                process.stdin.close()
         finally:
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.close()

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pmpm.output import manifests
+from pmpm.output.diagnostics import WHOLE
 from pmpm.output.files import OutputError
 from pmpm.output.layout import FORMAT_VERSION
 from pmpm.output.run_directory import (
@@ -32,7 +33,6 @@ from pmpm.output.run_directory import (
 )
 from pmpm.state.fields import OUTPUT_VECTORS
 
-WHOLE_NUMBERS = ("step", "particles")
 ATTRIBUTES = {"time": float, "step": int, "dt": float, "title": str, "dim": int, "precision": str, "materials": list}
 # What h5py raises for what it finds in damaged files, besides OSError: it has no kind of error of its own.
 DAMAGES = (
@@ -315,7 +315,7 @@ def read_diagnostics(path):
     try:
         columns = zip(*lines, strict=True) if lines else ((),) * len(names)
         return {
-            name: np.array(column, np.int64 if name in WHOLE_NUMBERS else np.float64)
+            name: np.array(column, np.int64 if name in WHOLE else np.float64)
             for name, column in zip(names, columns, strict=True)
         }
     except (ValueError, OverflowError) as error:

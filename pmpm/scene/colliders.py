@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any
 
 import numpy as np
@@ -22,11 +22,11 @@ from pmpm.scene.values import (
     choice,
     either,
     flag,
+    label,
     number,
     number_told,
     plain,
     short_told,
-    text,
     vector,
     vector_told,
 )
@@ -46,29 +46,38 @@ class Surface(Part):
 
     @model_validator(mode="after")
     def check_coefficient(self) -> "Surface":
+        """Complain about friction without a coefficient, or a coefficient without friction."""
         given = "coefficient" in self.model_fields_set
-        if (self.type == "friction") != given:
-            raise Problems(wrong_coefficient(self.type, self.coefficient, "surface"))
+        if self.type == "friction" and not given:
+            text = 'must give the coefficient: { type = "friction", coefficient = 0.4 }'
+            raise Problems(Problem((), text, "friction"))
+        if self.type != "friction" and given:
+            text = f"belongs to a friction {type(self).__name__.lower()}, not to {self.type}"
+            raise Problems(Problem(("coefficient",), text, self.coefficient))
         return self
 
     @model_serializer
     def short(self) -> Any:
-        return {"type": self.type, "coefficient": self.coefficient} if self.type == "friction" else self.type
+        """The type alone where there is nothing else to say."""
+        own = {"coefficient": self.coefficient} if self.type == "friction" else {}
+        own |= self.motion()
+        return {"type": self.type, **own} if own else self.type
+
+    def motion(self) -> dict[str, Any]:
+        """What a file says of its motion; the surface of a collider moves with it."""
+        return {}
 
 
-def wrong_coefficient(kind: str, coefficient: float, where: str) -> Problem:
-    """Complain about friction without a coefficient, or a coefficient without friction."""
-    if kind == "friction":
-        return Problem((), 'must give the coefficient: { type = "friction", coefficient = 0.4 }', "friction")
-    return Problem(("coefficient",), f"belongs to a friction {where}, not to {kind}", coefficient)
+def table_of_type(words: tuple[str, ...]) -> Callable[[Any], Any]:
+    """Return what turns the short form of a surface or wall, its type alone, into a table."""
 
+    def table(value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        check_word(value, words)
+        return {"type": value}
 
-def surface_table(value: Any) -> Any:
-    """Turn the short form, the type alone, into a table."""
-    if not isinstance(value, str):
-        return value
-    check_word(value, SURFACES)
-    return {"type": value}
+    return table
 
 
 def check_spin(value: Any) -> Any:
@@ -131,7 +140,7 @@ def vectors(value: Any) -> tuple[tuple[float, ...], ...]:
 class Collider(Part):
     """A rigid body that moves as told, or rests; the material feels it, and it takes note of the force on it."""
 
-    name: Annotated[str | None, text()] = Field(
+    name: Annotated[str | None, label()] = Field(
         default=None, description="in diagnostics; collider_0, collider_1 ... if not given"
     )
     shape: Shape | None = Field(default=None, description="table with a type and its measures")
@@ -140,7 +149,7 @@ class Collider(Part):
         description="from Python, instead of a shape: function d(x, t) of places (n, dim) in m and time in s that returns the "
         "distance to the surface (n,), m, negative inside",
     )
-    surface: Annotated[Surface, Checked(surface_table, told=short_told(SURFACES))] = Field(
+    surface: Annotated[Surface, Checked(table_of_type(SURFACES), told=short_told(SURFACES))] = Field(
         default=Surface(type="separate"), description=f"one of {', '.join(SURFACES)}; friction with its coefficient"
     )
     velocity: Velocity = Field(default=None, description="vector, or a function of time (m/s)")
@@ -329,10 +338,8 @@ def named(colliders: tuple[Collider, ...]) -> Iterator[Collider]:
 
 
 def wrong_names(colliders: tuple[Collider, ...]) -> Iterator[Problem]:
-    """Yield names that would stand twice in the diagnostics, or that a CSV file cannot hold."""
+    """Yield names that would stand twice in the diagnostics."""
     names = [collider.name for collider in named(colliders)]
     for index, name in enumerate(names):
         if name in names[:index]:
             yield Problem((index, "name"), "is the name of another collider", name)
-        elif name is not None and not name.replace("_", "a").replace("-", "a").isalnum():
-            yield Problem((index, "name"), "must be letters, digits, _ and - alone: it heads a column", name)

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, field_serializer, model_serializer,
 from pmpm.kernels.needs import STENCILS, TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
 from pmpm.scene import files, forcing, geostatic, outside, start, watched
-from pmpm.scene.colliders import Collider, named, wrong_names
+from pmpm.scene.colliders import Collider, Surface, named, table_of_type, wrong_names
 from pmpm.scene.exact import Exact, wrong_exact
 from pmpm.scene.functions import Unfit
 from pmpm.scene.geostatic import Geostatic
@@ -27,7 +27,6 @@ from pmpm.scene.values import (
     CONTROLS,
     Checked,
     Told,
-    check_word,
     choice,
     flag,
     names,
@@ -60,45 +59,21 @@ FIELDS = tuple(dict.fromkeys((*OUTPUT_NAMES, *(field.name for law in LAWS.values
 LATER: Any = None
 
 
-class Wall(Part):
+class Wall(Surface):
     """What one face of the domain does to material that reaches it."""
 
     type: Annotated[str, choice(WALLS)] = Field(description=f"one of {', '.join(WALLS)}")
-    coefficient: Annotated[float, number(at_least=0.0)] = Field(
-        default=0.0, description="coefficient of Coulomb friction, of a friction wall"
-    )
     velocity: forcing.Velocity = Field(default=None, description="of the wall: vector, or a function of time (m/s)")
 
     @model_validator(mode="after")
-    def check_coefficient(self) -> "Wall":
-        given = "coefficient" in self.model_fields_set
-        if self.type == "friction" and not given:
-            raise Problems(
-                Problem((), 'must give the coefficient: { type = "friction", coefficient = 0.4 }', "friction")
-            )
-        if self.type != "friction" and given:
-            raise Problems(
-                Problem(("coefficient",), f"belongs to a friction wall, not to {self.type}", self.coefficient)
-            )
+    def check_velocity(self) -> "Wall":
         if self.type in ("free", "open") and self.velocity is not None:
             text = f"belongs to a wall that holds material, not to {self.type}"
             raise Problems(Problem(("velocity",), text, self.velocity))
         return self
 
-    @model_serializer
-    def short(self) -> Any:
-        own = {"coefficient": self.coefficient} if self.type == "friction" else {}
-        if self.velocity is not None:
-            own["velocity"] = record(self.velocity)
-        return {"type": self.type, **own} if own else self.type
-
-
-def wall_table(value: Any) -> Any:
-    """Turn the short form, a wall's type alone, into a table."""
-    if not isinstance(value, str):
-        return value
-    check_word(value, WALLS, ())
-    return {"type": value}
+    def motion(self) -> dict[str, Any]:
+        return {} if self.velocity is None else {"velocity": record(self.velocity)}
 
 
 def face_table(value: Any) -> Any:
@@ -123,7 +98,8 @@ class Domain(Part):
         default=LATER, description="acceleration of gravity, zero if not given (m/s2)"
     )
     walls: Annotated[
-        dict[str, Annotated[Wall, Checked(wall_table, told=short_told(WALLS))]], Checked(face_table, told=faces_told)
+        dict[str, Annotated[Wall, Checked(table_of_type(WALLS), told=short_told(WALLS))]],
+        Checked(face_table, told=faces_told),
     ] = Field(default_factory=dict, description="face -> wall; separate where not given")
     periodic: Annotated[tuple[str, ...], names(AXES)] = Field(
         default=(), description="axes along which the domain repeats"
@@ -331,7 +307,7 @@ class Output(Part):
     gauges: Annotated[tuple[watched.Gauge, ...], tables("gauge", least=0)] = Field(
         default=(), description="one table [[output.gauges]] for each line or section at which material is watched"
     )
-    maps: Annotated[tuple[str, ...], names()] = Field(
+    maps: Annotated[tuple[str, ...], names(watched.MAPS)] = Field(
         default=(), description=f"maps over the whole run: of {', '.join(watched.MAPS)}"
     )
 

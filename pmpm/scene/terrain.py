@@ -180,10 +180,13 @@ class Terrain(OutsideFile):
         return np.maximum(-distance, distance - np.where(above > 0.0, self.depths(points), 0.0))
 
     def normals(self, points: np.ndarray) -> np.ndarray:
-        """Return unit normals (n, dim) out of the ground."""
-        _, slopes = self.above(points)
+        """Return unit normals (n, dim) out of the ground, out of a layer upwards or downwards, as its nearer side is."""
+        above, slopes = self.above(points)
         normals = np.concatenate([-slopes, np.ones((len(points), 1))], axis=1)
-        return normals / np.linalg.norm(normals, axis=1)[:, None]
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        if self.depth is not None:
+            normals[above < 0.5 * np.maximum(self.depths(points), 0.0)] *= -1.0
+        return normals
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the corners (low, high) of the surrounding box, (dim,) each, m; the ground goes on beyond its map."""

@@ -16,6 +16,7 @@ from pmpm.scene.messages import Problem, Problems, known_text
 Check = Callable[[Any], Any]
 Told = dict[str, Any]
 # What XML cannot hold, and what makes a terminal do something; lines and tabs may be.
+LABEL = "[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
 CONTROLS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
@@ -192,6 +193,18 @@ def text() -> Checked:
         return value
 
     return checked(check, {"type": "string"})
+
+
+def label() -> Checked:
+    """Accept a name that a file or a column of a table can have, on any file system."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, str) or not re.fullmatch(LABEL, value):
+            text = "must be a name of 1 to 64 letters, digits, - and _, which a file or a column gets"
+            raise Problems(Problem((), text, value))
+        return value
+
+    return checked(check, {"type": "string", "pattern": f"^{LABEL}$"})
 
 
 def tables(singular: str, least: int = 1) -> Checked:

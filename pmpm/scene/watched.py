@@ -1,32 +1,19 @@
 """What a scene has watched besides its particles: probes at points, gauges along lines and across sections, maps of columns."""
 
 import math
-import re
 from collections.abc import Iterator
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from pmpm.scene.messages import Problem, Problems, known_text
+from pmpm.scene.messages import Problem, known_text
 from pmpm.scene.part import Part
 from pmpm.scene.shapes import AXES, wrong_length
-from pmpm.scene.values import choice, vector
+from pmpm.scene.values import choice, label, vector
 
 GAUGES = ("surface", "section")
 MAPS = ("max_depth", "max_speed", "deposit")
 MOST_COLUMNS = 1 << 26  # of a map, which every rank holds
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # of a file, on any file system
-
-
-def label() -> BeforeValidator:
-    """Accept a name that can be a file's."""
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, str) or not NAME.fullmatch(value):
-            raise Problems(Problem((), "must be a name of 1 to 64 letters, digits, - and _, which a file gets", value))
-        return value
-
-    return BeforeValidator(check)
 
 
 class Probe(Part):

@@ -50,6 +50,12 @@ class Field:
 
 SHARE_STEPS = 1 << 24  # shares are whole numbers of these, so that sums of them are exact, in float32 too
 
+
+def in_steps(shares):
+    """(n,) int64 SHARE_STEPS of shares (n, 1), which are whole numbers of them."""
+    return np.rint(shares[:, 0].astype(np.float64) * SHARE_STEPS).astype(np.int64)
+
+
 COMMON = (
     Field("x", "vector", "cells", "position, as a place (see kernels.places); files and users see metres"),
     Field("v", "vector", "m/s", "velocity"),
