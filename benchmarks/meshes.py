@@ -1,6 +1,8 @@
 """How well particles stand for a mesh: volume, centroid and inertia of both, by seeding, for public meshes.
 
-python benchmarks/meshes.py [--cells 40]: a table. The meshes come out of vtk's sources and, where pyvista is installed (pip
+python benchmarks/meshes.py [--cells 40] [--docs docs]: a table, and docs/results/meshes.md.
+
+The meshes come out of vtk's sources and, where pyvista is installed (pip
 install pyvista), its examples; both may be used freely (BSD, MIT). One is damaged on purpose.
 """
 
@@ -8,12 +10,29 @@ import argparse
 import time
 
 import numpy as np
+import pages
 
 from pmpm.scene import seeding
 from pmpm.scene.mesh import Mesh
 from pmpm.scene.needs import grid_geometry, scene_needs
 from pmpm.scene.schema import Scene
 from pmpm.scene.surfaces import Surface
+
+HEAD = "| mesh | triangles | seeding | particles | volume | centroid | inertia | s |\n|---|---|---|---|---|---|---|---|"
+ABOUT = """# What particles make of a mesh
+
+`python benchmarks/meshes.py --cells {cells} --docs docs` wrote this page: public meshes, {cells} cells along
+their largest extent, 8 particles in a cell. Errors of the particles, as points, against the formulas of the closed surface:
+volume; centroid by the largest extent; second moment by its trace. Nothing is scaled to fit. The last column is seconds of seeding on one core.
+
+"""
+READING = """
+- Torus, icosahedron, superquadric, cone and trefoil (a tube around an open knot, with caps) come out of sources of vtk (BSD);
+  ant, nut and sphere are examples of pyvista (MIT). Of the damaged torus 1 % of the triangles are turned, 3 missing and 10 there twice.
+- Of the inertia that `quadrature` misses, most is that a particle is a point.
+- The ant is made of pieces that overlap: the formula counts what they share twice, particles once.
+- A lattice is worst where faces lie along its rows, as of the nut and the icosahedron.
+"""
 
 
 def vtk_sources():
@@ -158,10 +177,10 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cells", type=int, default=40, help="cells along the largest extent")
     parser.add_argument("--seedings", default=",".join(seeding.SEEDINGS), help="which of them")
+    parser.add_argument("--docs", type=pathlib.Path, help="write the page here")
     options = parser.parse_args()
-    print(
-        "| mesh | triangles | seeding | particles | volume | centroid | inertia | s |\n|---|---|---|---|---|---|---|---|"
-    )
+    lines = []
+    print(HEAD)
     with tempfile.TemporaryDirectory() as folder:
         for name, path in public_meshes(pathlib.Path(folder)).items():
             for kind in options.seedings.split(","):
@@ -171,7 +190,14 @@ def main():
                 took = time.perf_counter() - began
                 errors = " | ".join(f"{error:.1e}" for error in misses(scene, seeds))
                 count = len(scene.bodies[0].shape.surface.elements)
-                print(f"| {name} | {count} | {kind} | {len(seeds.id)} | {errors} | {took:.1f} |", flush=True)
+                lines.append(f"| {name} | {count} | {kind} | {len(seeds.id)} | {errors} | {took:.1f} |")
+                print(lines[-1], flush=True)
+    if options.docs:
+        pages.write(options.docs, "meshes", page(options.cells, lines))
+
+
+def page(cells, lines):
+    return ABOUT.format(cells=cells) + "\n".join([HEAD, *lines]) + "\n" + READING
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+from drop import DROP
 
 from pmpm.cli import main
 
@@ -37,26 +38,11 @@ SHORTER = {
     "study": ["--levels", "2", "--repeat", "1", "--transfer", "apic", "--until", "0.002", "--quiet"],
     "render": ["--quiet"],
 }
-TINY = """
-[domain]
-size = [0.4, 0.2]
-cell_size = 0.02
-gravity = [0.0, -9.81]
-[time]
-end = 0.1
-[materials.water]
-model = "fluid"
-density = 1000.0
-sound_speed = 15.0
-[[bodies]]
-material = "water"
-shape = { type = "box", min = [0.0, 0.0], max = [0.1, 0.1] }
-"""
 # What a page takes for granted, put there before its first command: files, and commands.
 FILES = {
     "README.md": {"my_scene.toml": None},
-    "docs/reliability.md": {"SCENE": TINY},
-    "docs/clusters.md": {"scene.toml": TINY},
+    "docs/reliability.md": {"SCENE": DROP},
+    "docs/clusters.md": {"scene.toml": DROP},
 }
 BEFORE = {
     "README.md": ["pmpm run dam_break"],

@@ -174,6 +174,36 @@ def test_a_collider_follows_its_path():
         assert s.drive.obstacles[1].shift == pytest.approx(where, abs=2.1e-3)  # a step of 1 mm beside each bend
 
 
+def test_a_velocity_that_is_a_function_is_asked_once_for_each_step():
+    asked = []
+
+    def velocity(t):
+        asked.append(t)
+        return (0.0, -0.1)
+
+    shape, floor = {"type": "sphere", "center": [0.8, 0.8], "radius": 0.05}, plane([0.0, 0.1], [0.0, 1.0])
+    s = simulation(RUBBER, [box([0.1, 0.1], [0.2, 0.2])], [floor, {"shape": shape, "velocity": velocity}])
+    asked.clear()
+    s.run(steps=10)
+    assert len(asked) == len(set(asked)) <= 10
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_the_unit_that_impulses_are_counted_in_shrinks_with_the_scene(precision):
+    """But for what the precision can hold the inverse of, no scale is special."""
+    domain = {"size": [1e-6, 1e-6], "cell_size": 1e-7, "gravity": [0.0, -G]}
+    body = {"material": "a", "shape": box([2e-7, 2e-7], [8e-7, 8e-7])}
+    floor = {"shape": {"type": "plane", "point": [0.0, 2e-7], "normal": [0.0, 1.0]}}
+    scene = pmpm.Scene(
+        domain=domain, method={"precision": precision}, time={"end": 1.0}, materials={"a": RUBBER}, bodies=[body],
+        colliders=[floor],
+    )  # fmt: skip
+    s = pmpm.Simulation(scene)
+    (obstacle,) = s.drive.obstacles
+    assert np.isfinite(obstacle.per_unit)
+    assert obstacle.unit < 2.0**-20 * s.measure()["mass"] * math.sqrt(RUBBER["youngs_modulus"] / RUBBER["density"])
+
+
 def test_a_function_can_be_a_collider():
     def ground(x, t):
         return x[:, 1] - 0.3

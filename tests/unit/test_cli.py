@@ -8,28 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from drop import DROP
 from unit.broken_scenes import BROKEN
 
 from pmpm.cli import main
 from pmpm.physics.materials import LAWS
 from pmpm.scene.files import builtin_scenes
-
-GOOD = """
-title = "a drop"
-[domain]
-size = [0.2, 0.2]
-cell_size = 0.02
-gravity = [0.0, -9.81]
-[time]
-end = 0.01
-[materials.water]
-model = "fluid"
-density = 1000.0
-sound_speed = 15.0
-[[bodies]]
-material = "water"
-shape = { type = "box", min = [0.0, 0.0], max = [0.1, 0.1] }
-"""
 
 
 @pytest.fixture
@@ -41,7 +25,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def scene_file(folder):
     path = folder / "drop.toml"
-    path.write_text(GOOD, encoding="utf-8")
+    path.write_text(DROP, encoding="utf-8")
     return path
 
 

@@ -53,6 +53,12 @@ def test_a_layer_lies_on_the_ground(tmp_path):
     assert high == pytest.approx([8.0, 6.0, TILTED.max() + 0.5])
 
 
+def test_normals_of_a_layer_point_away_from_it_on_both_sides(tmp_path):
+    layer = terrain(tmp_path, depth=0.5)
+    below, above = layer.normals(np.array([[2.0, 2.0, 2.4], [2.0, 2.0, 3.1]]))
+    assert below[2] < 0.0 < above[2]
+
+
 def test_a_map_of_depths_says_where_there_is_a_layer(tmp_path):
     depth = np.zeros_like(TILTED)
     depth[1, 2] = 1.0

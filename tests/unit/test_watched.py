@@ -64,6 +64,14 @@ def test_a_probe_in_a_body_reads_its_velocity_pressure_and_density(dim):
     assert found["fill"] == pytest.approx(J, rel=0.01)
 
 
+@pytest.mark.parametrize(("wall", "mirrored"), [("slip", True), ("open", False), ("free", False)])
+def test_material_at_a_face_has_an_image_beyond_it_only_where_a_wall_holds_it(wall, mirrored):
+    """At the face half of what a place reaches lies beyond it."""
+    simulation = still(walls={"x_min": wall})
+    found = sampling.at_point(simulation, np.array([0.0, 0.2]))
+    assert found["fill"] == pytest.approx(1.0 if mirrored else 0.5, abs=0.02)
+
+
 def test_a_probe_out_of_reach_of_all_material_has_no_value():
     found = sampling.at_point(still(), np.array([0.75, 0.85]))
     assert found.pop("fill") == 0.0
