@@ -23,12 +23,14 @@ ABOUT = """# What particles make of a mesh
 
 `python benchmarks/meshes.py --cells {cells} --docs docs` wrote this page: public meshes, {cells} cells along
 their largest extent, 8 particles in a cell. Errors of the particles, as points, against the formulas of the closed surface:
-volume; centroid by the largest extent; second moment by its trace. Nothing is scaled to fit. The last column is seconds of seeding on one core.
+volume; centroid by the largest extent; second moment by its trace. Nothing is scaled to fit. The
+last column is seconds of seeding on one core.
 
 """
 READING = """
 - Torus, icosahedron, superquadric, cone and trefoil (a tube around an open knot, with caps) come out of sources of vtk (BSD);
-  ant, nut and sphere are examples of pyvista (MIT). Of the damaged torus 1 % of the triangles are turned, 3 missing and 10 there twice.
+  ant, nut and sphere are examples of pyvista (MIT). Of the damaged
+  torus 1 % of the triangles are turned, 3 missing and 10 there twice.
 - Of the inertia that `quadrature` misses, most is that a particle is a point.
 - The ant is made of pieces that overlap: the formula counts what they share twice, particles once.
 - A lattice is worst where faces lie along its rows, as of the nut and the icosahedron.
