@@ -1,9 +1,13 @@
-"""What drives a simulation from outside at a given time: gravity, loads, walls, regions and colliders in motion."""
+"""What drives a simulation from outside at a given time: gravity, loads, walls, regions and colliders in motion; and how its
+bodies touch each other."""
 
 import numpy as np
 
 from pmpm.kernels.lanes import WIDTH
 from pmpm.scene.forcing import velocity_at
+from pmpm.scene.needs import velocity_fields
+
+ROUNDING = 64.0  # eps of the volume around a node that may be missing where bodies fill it
 
 
 class Drive:
@@ -19,6 +23,7 @@ class Drive:
         self.damping = scene.method.damping
         self.regions = [*(Region(motion, self.dim) for motion in scene.motions), *mouths]
         self.obstacles = obstacles_of(scene, needs, tables, real)
+        self.touching = Touching(scene, needs, real) if needs.contact else None
         self.others = np.zeros(0, np.int64)  # nodes on which another rank counts what colliders are given
         self.heads = b""
         self.time, self.factor = 0.0, real(1.0)
@@ -101,6 +106,17 @@ def obstacles_of(scene, needs, tables, real):
 
     unit = unit_of_momentum(scene, needs, tables, real)
     return [Obstacle(collider, scene, real, unit) for collider in scene.colliders]
+
+
+class Touching:
+    """How bodies of different velocity fields act on each other: pairs (n, 2) of fields, each with its coefficient of friction,
+    and the volume (m3) around a node that they fill together where they touch."""
+
+    def __init__(self, scene, needs, real):
+        frictions = scene.contact.frictions(velocity_fields(scene))
+        self.pairs = np.array(list(frictions), np.int64)
+        self.frictions = np.array(list(frictions.values()), real)
+        self.room = real((1.0 - ROUNDING * np.finfo(real).eps) * scene.domain.cell_size**needs.dim)
 
 
 class Region:

@@ -142,16 +142,17 @@ def on_cards(needs, taken, particles):
 
 
 def grid_bytes(needs, geometry, cells):
-    """Bytes of the nodes when so many cells hold material, of what FLIP and F-bar keep besides, of the planes that P2G and G2P
-    work in, and of tables per row and layer."""
+    """Bytes of the nodes when so many cells hold material, of what FLIP, F-bar and contact keep besides, of the planes that P2G
+    and G2P work in, and of tables per row and layer."""
     stencil, plane = needs.stencil, float(math.prod(geometry.plane_shape))
     planes = float(geometry.extent(geometry.axes[0]))
     side = cells ** (1.0 / needs.dim) + stencil.window - 1 + 2 * SLACK
     nodes = min(planes * plane, SPREAD * side**needs.dim)
     grids = 1 + needs.scheme.blends + 2 * needs.f_bar
+    kept = needs.velocity_fields * (grids + needs.contact)
     scratch = plane * (stencil.window + (stencil.window + stencil.nodes - 1) * grids)
     tables = planes * geometry.plane_shape[0] * ROW_BYTES + geometry.layers * LAYER_BYTES
-    return (nodes * grids + scratch) * 4 * np.dtype(needs.precision).itemsize + tables
+    return (nodes * kept + scratch) * 4 * np.dtype(needs.precision).itemsize + tables
 
 
 def available_memory():

@@ -21,6 +21,10 @@ def explain(scene, ranks, backend="cpu"):
     """Text of `pmpm check`: particles, memory per rank, time step, what particles hold, which kernels there are, and what was
     left out; with the backend cuda memory and kernels of the cards too. Raises SceneError."""
     needs, geometry, dt = first_look(scene)
+    if backend == "cuda":
+        from pmpm.scene.needs import refuse_on_cards
+
+        refuse_on_cards(needs)
     counted = estimate.places_to_try(scene) <= estimate.MOST_COUNTED
     counts = rehearse(scene, geometry) if counted else estimate.particles(scene)
     total, ranks = counts.sum(), max(ranks, 1)
@@ -163,7 +167,7 @@ def compiled_kernels(scene, needs, ranks):
     found = {label: law_entries(needs, watches_energy(scene)) for label in labels(needs.laws)}
     found["walls"] = wall_entries(needs)
     found["colliders"] = collider_entries(needs)
-    found["shared"] = shared_entries(gravity, damped, cuts, needs.open)
+    found["shared"] = shared_entries(gravity, damped, cuts, needs.open, needs.contact)
     return {who: names for who, names in found.items() if names}
 
 
@@ -206,6 +210,8 @@ def left_out(scene, needs):
     absent += [f"wall {name}" for name in ("stick", "slip", "separate", "friction") if name not in needs.wall_types]
     if not scene.colliders:
         absent.append("colliders")
+    if not needs.contact:
+        absent.append("contact")
     if needs.transfer == "mls":
         absent.append("weight gradients")
     if scene.dim == 2:

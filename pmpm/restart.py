@@ -22,7 +22,7 @@ DRIVING = (
     r"time\.(cfl|step|ramp)|domain\.gravity.*|domain\.walls\..+|method\.(damping|flip_blend|precision)"
     r"|materials\.[^.]+\.(?!model$|density$).+|motions\[\d+\]\.velocity.*"
     r"|colliders\[\d+\]\.(surface.*|velocity.*|angular_velocity.*)"
-    r"|inflows\[\d+\]\.(velocity.*|until|limit)"
+    r"|inflows\[\d+\]\.(velocity.*|until|limit)|contact\.friction|contact\.pairs.*"
 )
 MARKS = {"file": "checksum", "depth": "depth_checksum"}  # what knows a file again that lies elsewhere now
 EITHER_OR = {"time.step": "cfl", "time.cfl": "step"}  # of which a scene gives one

@@ -137,7 +137,7 @@ class Simulation:
         self.first_layer, self.last_layer = self.slabs.owned(self.comm.rank)
         self.patch = Patch(
             self.geometry, self.first_layer, self.last_layer, len(self.needs.laws), self.real, self.needs.scheme.blends,
-            self.needs.f_bar, self.processor.threads,
+            self.needs.f_bar, self.processor.threads, self.needs.velocity_fields,
         )  # fmt: skip
         self.halo = Halo(
             self.comm, self.slabs, self.patch, self.kernels, self.halo_sent, self.processor.ordered, self.processor.host_room
@@ -332,6 +332,9 @@ class Simulation:
         if self.needs.scheme.blends:
             self.keep_velocities(dt)
             now = self.timers.add("p2g before", now)
+        if self.needs.contact:
+            self.keep_volumes(dt)
+            now = self.timers.add("p2g volumes", now)
         runs = self.scatter(dt, "p2g")
         self.control.disorder.start(self.step_count + 1, runs, self.held)
         now = clock.perf_counter()
@@ -396,6 +399,12 @@ class Simulation:
         self.scatter(dt, "p2g_before")
         self.finish_halo()
         self.processor.average("before")
+
+    def keep_volumes(self, dt):
+        """Fill the grid with the volumes of each velocity field, which tell where bodies touch and which way they face."""
+        self.scatter(dt, "p2g_volumes")
+        self.finish_halo()
+        self.processor.keep_volumes()
 
     def average_divergence(self, dt):
         """Average the divergence of the velocities on the nodes, which stay there, for F-bar.

@@ -141,6 +141,11 @@ def scene(row, in_space=(6, 8, 5)):
     )
 
 
+def in_contact(row):
+    """The same with contact between all of its materials."""
+    return Scene(**(scene(row).model_dump(exclude_none=True) | {"contact": {"friction": 0.2}}))
+
+
 def in_metres(shape):
     return {key: value if key == "type" else (np.array(value) * CELL).tolist() for key, value in shape.items()}
 

@@ -29,7 +29,7 @@ def block(material, low, high, velocity, particles_per_cell):
     return {"material": material, "shape": shape, "velocity": velocity, "particles_per_cell": particles_per_cell}
 
 
-def flat(end=0.2, precision="float64", periodic=("x",), transfer="mls"):
+def flat(end=0.2, precision="float64", periodic=("x",), transfer="mls", contact=None):
     """2-D: slabs across x, which is periodic. 50 x 30 cells, about 2400 particles."""
     walls = {"y_min": {"type": "friction", "coefficient": 0.3}, "y_max": "separate"}
     return Scene(
@@ -37,6 +37,7 @@ def flat(end=0.2, precision="float64", periodic=("x",), transfer="mls"):
         time={"end": end},
         method={"transfer": transfer, "precision": precision},
         materials=MATERIALS,
+        contact=contact,
         bodies=[
             block("water", [0.0, 0.0], [1.0, 0.15], [2.0, 0.0], 5),
             block("soft_sand", [0.2, 0.1], [0.6, 0.3], [1.5, -0.5], 3),
@@ -47,7 +48,7 @@ def flat(end=0.2, precision="float64", periodic=("x",), transfer="mls"):
     )
 
 
-def deep(end=0.06, precision="float64"):
+def deep(end=0.06, precision="float64", contact=None):
     """3-D: slabs across z, which is periodic as x is. 8 x 10 x 20 cells, about 5000 particles."""
     return Scene(
         domain={
@@ -60,6 +61,7 @@ def deep(end=0.06, precision="float64"):
         time={"end": end},
         method={"transfer": "mls", "precision": precision},
         materials=MATERIALS,
+        contact=contact,
         bodies=[
             block("water", [0.0, 0.0, 0.0], [0.24, 0.1, 0.6], [0.5, 0.0, 2.0], 5),
             block("soft_sand", [0.0, 0.09, 0.1], [0.24, 0.18, 0.35], [0.0, -0.5, 3.0], 6),
@@ -69,12 +71,13 @@ def deep(end=0.06, precision="float64"):
     )
 
 
-def tall(end=0.3):
+def tall(end=0.3, contact=None):
     """2-D: slabs across y, along which water and sand fall. 15 x 40 cells."""
     return Scene(
         domain={"size": [0.3, 0.8], "cell_size": 0.02, "gravity": [0.5, -9.81], "walls": {"y_min": "stick"}},
         time={"end": end},
         materials=MATERIALS,
+        contact=contact,
         bodies=[
             block("water", [0.0, 0.0], [0.3, 0.3], [0.0, 1.5], 5),
             ball("soft_sand", [0.15, 0.55], 0.12, [0.0, -2.0], 4),

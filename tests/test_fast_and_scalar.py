@@ -27,6 +27,16 @@ def test_fast_and_scalar_kernels_agree_to_round_off_after_some_steps(row):
         assert fast.regroups > 0
 
 
+@pytest.mark.parametrize(("dim", "precision"), [(2, "float32"), (3, "float64")])
+def test_fast_and_scalar_kernels_agree_where_bodies_touch(dim, precision):
+    row = {"material": "several", "dim": dim, **agreement.PLAIN, "precision": precision}
+    scene = agreement.in_contact(row)
+    fast, scalar, bonded = (agreement.run(*run) for run in (
+        (scene, "lanes"), (scene, "scalar"), (agreement.scene(row), "lanes")))  # fmt: skip
+    assert max(agreement.distances(fast, scalar).values()) <= agreement.BOUND
+    assert agreement.distances(fast, bonded)["v"] > 1e3 * agreement.BOUND  # they have touched
+
+
 def test_rows_hold_every_pair_of_values_that_is_allowed():
     possible = agreement.every_pair.full_product(agreement.FACTORS, agreement.allowed)
     for one, other in itertools.combinations(agreement.FACTORS, 2):

@@ -62,11 +62,15 @@ def test_built_in_scene_gives_the_same_bits_on_any_rank_count(name, precision, r
     assert bits.report(tmp_path / "run")["ranks"] == ranks
 
 
+FRICTION = {"friction": 0.4}
 OTHER_SCENES = {
     "several laws, periodic slab axis, 2-D, float32": several_laws.flat(precision="float32"),
     "several laws, periodic slab axis, 2-D, float64": several_laws.flat(),
     "several laws, periodic slab axis, 3-D, float64": several_laws.deep(),
     "slabs across y": several_laws.tall(),
+    "contact, periodic slab axis, 2-D": several_laws.flat(contact=FRICTION),
+    "contact, periodic slab axis, 3-D, float32": several_laws.deep(precision="float32", contact=FRICTION),
+    "contact, slabs across y": several_laws.tall(contact=FRICTION),
 }
 
 

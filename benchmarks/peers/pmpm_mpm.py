@@ -79,8 +79,8 @@ def seconds_of_ordered_sum(simulation, times=7):
         began = time.perf_counter()
         for layer in range(patch.layers):
             fold(
-                patch.windows[0], 0, layer, patch.placed, patch.placed_start, patch.corner, patch.slots, patch.nodes,
-                patch.unsummed,
+                patch.windows[0], 0, layer, patch.placed, patch.placed_start, patch.corner, patch.slots, patch.nodes[0],
+                patch.unsummed[0],
             )  # fmt: skip
         found.append(time.perf_counter() - began)
     return min(found)

@@ -2,7 +2,7 @@
 
 import os
 import platform
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from pmpm.kernels import lane_loops, loops, scalar_loops, sorting, spans, targets
 from pmpm.kernels.alignment import CACHE_LINE, aligned
 from pmpm.kernels.lanes import WIDTH
+from pmpm.kernels.needs import LawNeeds
 from pmpm.physics import boundary
 
 # Of each type of wall: rule on its nodes, image beyond it, whether it holds material on both ways.
@@ -23,6 +24,7 @@ WALLS = {
 PER_SCENE = ("add_gravity", "divide_by_mass")
 PER_OPTION = ("damp",)  # likewise, only where a scene asks for them
 PER_CUT = ("add_planes", "add_slots")  # called, hence compiled, only where there are cuts
+PER_CONTACT = ("touch",)  # likewise, only where bodies touch that are not bonded
 PER_OPEN = ("count_beyond", "take_beyond")  # called, hence compiled, only where a face is open
 PER_PLACES = ("count_moves", "take_leaving", "loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
@@ -36,15 +38,13 @@ VECTOR_MACHINES = ("x86_64", "amd64", "aarch64", "arm64")
 class Kernels:
     """Entry kernels, and what the lanes work in.
 
-    Per law p2g and g2p, p2g without impulses for schemes that blend velocities, p2g of the divergence and what measures it for
-    F-bar, what sums energies for the guard; `shared` by name; walls and images by wall type, colliders by surface.
+    Per law p2g and g2p, p2g without impulses for schemes that blend velocities, p2g of volumes for contact, p2g of the
+    divergence and what measures it for F-bar, what sums energies for the guard; `shared` by name; walls and images by wall
+    type, colliders by surface.
     """
 
     p2g: tuple[Any, ...]
     g2p: tuple[Any, ...]
-    p2g_before: tuple[Any, ...]
-    p2g_divergence: tuple[Any, ...]
-    measure_divergence: tuple[Any, ...]
     sum_energies: tuple[Any, ...]
     shared: dict[str, Any]
     walls: dict[str, Any]
@@ -53,6 +53,10 @@ class Kernels:
     scratch: np.ndarray
     first_nodes: np.ndarray
     constants: np.ndarray
+    p2g_before: tuple[Any, ...] = ()
+    p2g_volumes: tuple[Any, ...] = ()
+    p2g_divergence: tuple[Any, ...] = ()
+    measure_divergence: tuple[Any, ...] = ()
 
     def __getattr__(self, name):
         try:
@@ -66,6 +70,7 @@ class Kernels:
             **{f"p2g {i}": kernel for i, kernel in enumerate(self.p2g)},
             **{f"g2p {i}": kernel for i, kernel in enumerate(self.g2p)},
             **{f"p2g before {i}": kernel for i, kernel in enumerate(self.p2g_before)},
+            **{f"p2g volumes {i}": kernel for i, kernel in enumerate(self.p2g_volumes)},
             **{f"p2g divergence {i}": kernel for i, kernel in enumerate(self.p2g_divergence)},
             **{f"divergence {i}": kernel for i, kernel in enumerate(self.measure_divergence)},
             **{f"energies {i}": kernel for i, kernel in enumerate(self.sum_energies)},
@@ -80,8 +85,9 @@ def law_entries(needs, guarded):
     """Names of the entries that each law has of its own, as in `Kernels.entries` without the law's number; `guarded`: the
     energy of the run is watched."""
     blended = ["p2g before"] if needs.scheme.blends else []
+    touching = ["p2g volumes"] if needs.contact else []
     averaged = ["p2g divergence", "divergence"] if needs.f_bar else []
-    return ["p2g", "g2p", *blended, *averaged, *(["energies"] if guarded else [])]
+    return ["p2g", "g2p", *blended, *touching, *averaged, *(["energies"] if guarded else [])]
 
 
 def wall_entries(needs):
@@ -92,10 +98,11 @@ def collider_entries(needs):
     return [f"collider {name}" for name in needs.collider_types]
 
 
-def shared_entries(gravity, damped, cuts, opened=False):
+def shared_entries(gravity, damped, cuts, opened=False, contact=False):
     """Names of the entries without a law that a run calls: the others are never compiled."""
     per_scene = [name for name in PER_SCENE if gravity or name != "add_gravity"]
     optional = [*(PER_OPTION if damped else ()), *(PER_CUT if cuts else ()), *(PER_OPEN if opened else ())]
+    optional += PER_CONTACT if contact else ()
     return [*per_scene, *optional, *PER_PLACES, *SORTING, *LAYING_OUT]
 
 
@@ -242,27 +249,37 @@ def law_choices(law, layout, parameter_count, tuples, real):
 
 
 def phases(needs):
-    """{phase: (name of its loop, choices besides those of scene and law)} of the kernels of particles. Phases that a scene does
-    not need have no choices."""
+    """{phase: (name of its loop, choices besides those of scene and law)} of the kernels of particles that a scene needs."""
     whole = {"IMPULSE": True, "BY_GRADIENT": not needs.scheme.mls}
     silent = {"IMPULSE": False, "BY_GRADIENT": False, "FORCED": False, "DRIVEN": False}
-    return {
-        "p2g": ("p2g", whole),
-        "g2p": ("g2p", whole),
-        "p2g_before": ("p2g", silent if needs.scheme.blends else None),
-        "p2g_divergence": ("p2g", silent | {"DIVERGENCE": True, "AFFINE": False} if needs.f_bar else None),
-        "measure_divergence": ("measure_divergence", {"MLS": False, "BY_INERTIA": False} if needs.f_bar else None),
-    }
+    volumes = silent | {"VOLUMES": True, "BY_GRADIENT": True, "AFFINE": False, "MLS": False}
+    found = {"p2g": ("p2g", whole), "g2p": ("g2p", whole)}
+    if needs.scheme.blends:
+        found["p2g_before"] = "p2g", silent
+    if needs.contact:
+        found["p2g_volumes"] = "p2g", volumes
+    if needs.f_bar:
+        found["p2g_divergence"] = "p2g", silent | {"DIVERGENCE": True, "AFFINE": False}
+        found["measure_divergence"] = "measure_divergence", {"MLS": False, "BY_INERTIA": False}
+    return found
 
 
 def entries_of_laws(needs, make, module, of_laws):
     """{phase: entries, one for each law}: loops of a module for a target `make`, with these choices of each law."""
     return {
-        phase: tuple(
-            make(**(of_law | choices)).entry(getattr(module, loop)) for of_law in of_laws if choices is not None
-        )
+        phase: one_for_each(needs.laws, [of_law | choices for of_law in of_laws], make, getattr(module, loop))
         for phase, (loop, choices) in phases(needs).items()
     }
+
+
+def one_for_each(laws, of_laws, make, loop):
+    """An entry of a loop for each law; laws that differ in their velocity field alone share one."""
+    made: dict[LawNeeds, Any] = {}
+    for law, of_law in zip(laws, of_laws, strict=True):
+        anywhere = replace(law, velocity_field=0)
+        if anywhere not in made:
+            made[anywhere] = make(**of_law).entry(loop)
+    return tuple(made[replace(law, velocity_field=0)] for law in laws)
 
 
 def entries_of_walls(needs, make, module, scene):
@@ -297,7 +314,7 @@ def build(needs, layouts, parameter_counts, kind, threads=1):
         scene | scalar_choices(needs) | law_choices(*law, scalar_loops.FIELD_TUPLES, np.dtype(real)) for law in per_law
     ]
     walls, images = entries_of_walls(needs, scalar, loops, scene)
-    shared = {name: general.entry(getattr(loops, name)) for name in (*PER_SCENE, *PER_OPTION, *PER_CUT)}
+    shared = {name: general.entry(getattr(loops, name)) for name in (*PER_SCENE, *PER_OPTION, *PER_CUT, *PER_CONTACT)}
     for_places = targets.scalar(real)
     shared |= {name: for_places.entry(getattr(sorting, name)) for name in (*PER_PLACES, *PER_OPEN)}
     for_orders = targets.scalar(np.float64)
@@ -305,7 +322,7 @@ def build(needs, layouts, parameter_counts, kind, threads=1):
     shared |= {name: for_orders.entry(getattr(spans, name)) for name in LAYING_OUT}
     return Kernels(
         **entries_of_laws(needs, make, module, of_laws),
-        sum_energies=tuple(scalar(**of_law).entry(scalar_loops.sum_energies) for of_law in to_sum),
+        sum_energies=one_for_each(needs.laws, to_sum, scalar, scalar_loops.sum_energies),
         shared=shared,
         walls=walls,
         images=images,

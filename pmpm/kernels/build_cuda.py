@@ -34,9 +34,6 @@ class CudaKernels:
 
     p2g: tuple[Any, ...]
     g2p: tuple[Any, ...]
-    p2g_before: tuple[Any, ...]
-    p2g_divergence: tuple[Any, ...]
-    measure_divergence: tuple[Any, ...]
     sum_energies: tuple[Any, ...]
     mark: Any
     forget: Any
@@ -48,6 +45,9 @@ class CudaKernels:
     images: dict[str, Any]
     colliders: dict[str, Any]
     threads: int  # of a block of threads
+    p2g_before: tuple[Any, ...] = ()
+    p2g_divergence: tuple[Any, ...] = ()
+    measure_divergence: tuple[Any, ...] = ()
 
     @property
     def entries(self):

@@ -67,10 +67,10 @@ CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 # What the transfer does. AFFINE: particles have an affine field; BY_INERTIA: C from its sums, else from the gradient; MLS:
 # forces without weight gradients; BLENDS: a part of the particle's own velocity is kept; IMPULSE: P2G adds what changes
 # velocities; STORES_C: particles keep C, whoever asks for it; F_BAR: G2P takes the divergence from nodes, for which DIVERGENCE
-# lets P2G tell volumes and divergences in place of masses and velocities.
+# lets P2G tell volumes and divergences in place of masses and velocities; VOLUMES: volumes as they are and their gradients.
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True
 BY_GRADIENT = True  # IMPULSE and not MLS
-DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = SHARED = False
+VOLUMES = DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = SHARED = False
 FIELDS, V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, SHARE_FIELD, STATE_FIELD = 12, 2, 4, 8, 8, 8, 8
 DIVERGENCE_FIELD = 8
 body_force = no_force
@@ -483,7 +483,9 @@ def momentum_block(
             store(table, WORKS, load(table, WORKS) + where(lanes_below(count), gain, real(0.0)))
     if DIVERGENCE:
         mass, v = volume0, along_first(load(reals, o + 16 * DIVERGENCE_FIELD))
-    store_constant(table, QUAD_CONSTANT, la.scale_vector(mass, v), mass if SHARED else in_all_lanes(mass))
+    if VOLUMES:
+        mass, v = volume0 * law.volume_ratio(load_state(reals, o + 16 * STATE_FIELD)), la.scale_vector(0.0, v)
+    store_constant(table, QUAD_CONSTANT, la.scale_vector(mass, v), mass if SHARED or VOLUMES else in_all_lanes(mass))
     if AFFINE:
         M = transfer.affine_momentum(mass, load_matrix(reals, o + 16 * C_FIELD), dx)
         if MLS:
@@ -493,7 +495,10 @@ def momentum_block(
         if DIMENSIONS == 3:
             store_column(table, QUAD_MIDDLE, M, MIDDLE)
     if BY_GRADIENT:
-        F = la.full(la.scale_plus_diagonal(-(volume0 * dt) * inv_dx, tau, 0.0))
+        if VOLUMES:
+            F = la.full(la.isotropic(mass))
+        else:
+            F = la.full(la.scale_plus_diagonal(-(volume0 * dt) * inv_dx, tau, 0.0))
         store_column(table, QUAD_F_SLAB, F, SLAB)
         store_column(table, QUAD_F_ROW, F, ROW)
         if DIMENSIONS == 3:

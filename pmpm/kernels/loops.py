@@ -31,7 +31,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from pmpm.kernels.lanes import flush_denormals, load, repeat_mass, restore_denormals, store, where, with_mass_of
 from pmpm.kernels.places import PADDING  # noqa: F401 - of P2G and G2P
-from pmpm.physics import boundary
+from pmpm.physics import boundary, contact
 from pmpm.physics import tensors2 as la
 from pmpm.physics.words import floor
 
@@ -252,7 +252,9 @@ def apply_wall(nodes, met, first, last, normal, coefficient, velocity):
 
     A particle that has passed the wall by less than half a cell reaches BEYOND nodes beyond it. The rules hold for what moves
     relative to the wall. A wall that may be left mirrors only where material presses on it and the wall as a whole pushes;
-    elsewhere the rule acts on the nodes on and beyond it. A mirrored node beyond is left without mass.
+    elsewhere the rule acts on the nodes on and beyond it. A mirrored node beyond is left without mass. Beside an edge of the
+    domain another wall may have mirrored the inner node and let go of the one beyond, which then has next to no mass and any
+    velocity: that is dropped, for no particle of a wider stencil than a linear one reaches a node beyond without the inner one.
     """
     before = flush_denormals()
     n, u = load_normal(normal), load_normal(velocity)
@@ -284,11 +286,12 @@ def apply_wall_at(nodes, met, i, n, coefficient, u):
         if mass_beyond > 0.0:
             past = la.add_scaled_vector(momentum_at(nodes, beyond), -mass_beyond, u)
             if holds:
-                inner = la.add_scaled_vector(momentum_at(nodes, inside), -mass_inner, u)
-                mirrored = la.add_scaled_vector(inner, 1.0, image(past, n))
-                mass_inner = mass_inner + mass_beyond
-                put_vector(nodes, inside, la.add_scaled_vector(mirrored, mass_inner, u))
-                nodes[inside, 3] = mass_inner
+                if mass_inner > 0.0 or NODES == 2:
+                    inner = la.add_scaled_vector(momentum_at(nodes, inside), -mass_inner, u)
+                    mirrored = la.add_scaled_vector(inner, 1.0, image(past, n))
+                    mass_inner = mass_inner + mass_beyond
+                    put_vector(nodes, inside, la.add_scaled_vector(mirrored, mass_inner, u))
+                    nodes[inside, 3] = mass_inner
                 put_vector(nodes, beyond, la.scale_vector(none, past))
                 nodes[beyond, 3] = none
             else:
@@ -325,6 +328,35 @@ def collide_at(nodes, at, n, u, coefficient, per_unit):
     kept = wall(momentum, n, coefficient, none) if mass > none else momentum
     put_vector(nodes, at, la.add_scaled_vector(kept, mass, u))
     return la.scale_vector(per_unit, la.add_scaled_vector(momentum, -1.0, kept))
+
+
+def touch(nodes, volumes, room, pairs, frictions, first, last):
+    """Contact between velocity fields, on momenta of nodes first .. last - 1: nodes and volumes are those of all fields,
+    (fields, nodes, 4), volumes[field, node] = (gradient, volume) of what lies around. pairs (pairs, 2) of fields.
+
+    Bodies touch where together they fill `room` (m3) around a node.
+    """
+    before = flush_denormals()
+    for i in range(first, last):
+        filled = real(0.0)
+        for field in range(volumes.shape[0]):
+            filled += volumes[field, i, 3]
+        if filled >= room:
+            for pair in range(pairs.shape[0]):
+                touch_at(nodes[pairs[pair, 0]], nodes[pairs[pair, 1]], volumes[pairs[pair, 0]], volumes[pairs[pair, 1]], i,
+                         frictions[pair])  # fmt: skip
+    restore_denormals(before)
+
+
+def touch_at(nodes_a, nodes_b, volumes_a, volumes_b, i, friction):
+    """The same of one pair on one node."""
+    mass_a, mass_b = nodes_a[i, 3], nodes_b[i, 3]
+    if mass_a > 0.0 and mass_b > 0.0:
+        a, b = momentum_at(nodes_a, i), momentum_at(nodes_b, i)
+        n = contact.normal_between(momentum_at(volumes_a, i), momentum_at(volumes_b, i))
+        gained = contact.momentum_gained(a, mass_a, b, mass_b, n, friction)
+        put_vector(nodes_a, i, la.add_scaled_vector(a, 1.0, gained))
+        put_vector(nodes_b, i, la.add_scaled_vector(b, -1.0, gained))
 
 
 def whole(x):

@@ -99,11 +99,13 @@ TRANSFERS = {
 
 @dataclass(frozen=True)
 class LawNeeds:
-    """One constitutive law with its compile-time choices: all materials that share both share kernels and storage."""
+    """One constitutive law with its compile-time choices, in one velocity field: all materials that share these share
+    storage. Kernels know nothing of velocity fields."""
 
     model: str
     choices: tuple[tuple[str, object], ...]
     fields: tuple[StateField, ...]  # what a particle carries
+    velocity_field: int = 0  # on whose nodes its particles meet others, see physics.contact
 
     @property
     def module(self):
@@ -170,6 +172,15 @@ class Needs:
         return self.loaded or self.body_force is not None
 
     @property
+    def velocity_fields(self):
+        """How many there are: more than one where bodies are in contact, and not bonded."""
+        return 1 + max(law.velocity_field for law in self.laws)
+
+    @property
+    def contact(self):
+        return self.velocity_fields > 1
+
+    @property
     def stencil(self):
         return STENCILS[self.shape_function]
 
@@ -189,15 +200,15 @@ class Needs:
         return (self.slab_axis, rest[0] if self.dim == 3 else -1, rest[-1])
 
 
-def law_needs(model, keys):
+def law_needs(model, keys, velocity_field=0):
     """The LawNeeds of a material with these keys."""
     module = law_of(model)
     choices = tuple(sorted(module.choices(keys).items()))
-    return LawNeeds(model, choices, tuple(module.state_fields(keys)))
+    return LawNeeds(model, choices, tuple(module.state_fields(keys)), velocity_field)
 
 
 def labels(laws):
-    """A name per law: its model; laws of one model with different choices are told apart by a number."""
+    """A name per law: its model; laws of one model with different choices or velocity fields are told apart by a number."""
     models = [law.model for law in laws]
     repeats = [models[: number + 1].count(model) for number, model in enumerate(models)]
     return [f"{model}_{n}" if n > 1 else model for model, n in zip(models, repeats, strict=True)]

@@ -41,7 +41,7 @@ BEFORE_RING = DIVERGENCE_RING = 0  # among the rings
 CENTRE, UNIT, ONE_CELL = 0, 2.0**-52, 2.0**52
 OFFSETS = (-1.0, 0.0, 1.0)  # of the stencil's nodes from its centre node, in cells
 AFFINE, BY_INERTIA, MLS, BLENDS, IMPULSE, STORES_C = True, True, False, False, True, True  # see lane_loops
-DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = SHARED = False
+VOLUMES = DIVERGENCE = F_BAR = VISCOUS = FORCED = LOADED = DRIVEN = ENDS_MIDDLE = ENDS_ROW = SHARED = False
 V_FIELD, C_FIELD, REFERENCE_FIELD, LOAD_FIELD, STATE_FIELD = 2, 4, 8, 8, 8
 BY_GRADIENT, DIVERGENCE_FIELD, SHARE_FIELD = True, 8, 8
 body_force, along_first = loops.no_force, None
@@ -216,6 +216,9 @@ def carried(reals, block, lane, place, mass, volume0, params, base, dt, dx, inv_
         tau = v
     if DIVERGENCE:
         counted, v = volume0, along_first(reals[block, DIVERGENCE_FIELD, lane])
+    if VOLUMES:
+        counted = volume0 * law.volume_ratio(load_state(reals, block, STATE_FIELD, lane))
+        v, tau = la.scale_vector(0.0, v), la.isotropic(real(1.0))
     momentum = la.scale_vector(counted, v)
     if AFFINE:
         M = transfer.affine_momentum(counted, load_matrix(reals, block, C_FIELD, lane), dx)
@@ -264,7 +267,9 @@ def p2g(
                     scratch[FORCES] = max(scratch[FORCES], force)
                 if DRIVEN:
                     works[layer] += work
-                if SHARED:
+                if VOLUMES:
+                    minus_impulse = counted
+                elif SHARED:
                     minus_impulse = -(reals[block, SHARE_FIELD, lane] * volume0 * dt) * inv_dx
                 i0 = centre_of(place[SLAB]) + PADDING
                 j0 = segments[s, 3] - corner[0] + centre_of(place[MIDDLE]) + PADDING if DIMENSIONS == 3 else 0

@@ -227,7 +227,7 @@ def plain(**choices):
 
 def count_cache(kernels):
     """(how many signatures of these entry kernels were compiled, how many came from the cache on disk)."""
-    stats = [kernel.stats for kernel in kernels if hasattr(kernel, "stats")]
+    stats = [kernel.stats for kernel in dict.fromkeys(kernels) if hasattr(kernel, "stats")]
     return sum(sum(s.cache_misses.values()) for s in stats), sum(sum(s.cache_hits.values()) for s in stats)
 
 

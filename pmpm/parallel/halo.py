@@ -15,13 +15,13 @@ def zeros(size):
 
 class Message:
     """Bytes on their way: how many spans each plane has (int64), all spans (middle, first quad, last quad + 1) in int32, then
-    the reals of their nodes. Room for full planes: what is not used takes no memory."""
+    the reals of their nodes, of one velocity field after another. Room for full planes: what is not used takes no memory."""
 
-    def __init__(self, planes, rows, quads, real, room=zeros):
+    def __init__(self, planes, rows, quads, real, room=zeros, fields=1):
         self.planes, self.itemsize = planes, np.dtype(real).itemsize
         self.most = planes * rows * quads * 4  # nodes
         most = self.first_real(planes * rows * (quads // 2 + 1)) * self.itemsize
-        self.bytes = room(most + planes * rows * quads * 16 * self.itemsize)
+        self.bytes = room(most + fields * planes * rows * quads * 16 * self.itemsize)
         self.counts = self.bytes[: 8 * planes].view(np.int64)
         self.spans = self.bytes[8 * planes : most].view(np.int32)
         self.reals = self.bytes.view(real)
@@ -44,9 +44,11 @@ class Message:
         """The bytes that say which nodes there are."""
         return self.bytes[: 8 * self.planes + 12 * int(self.counts.sum())]
 
-    def told(self):
-        """Where the reals of what has arrived begin."""
-        return self.first_real(int(self.counts.sum()))
+    def told(self, field=0):
+        """Where the reals of a velocity field of what has arrived begin."""
+        spans = int(self.counts.sum())
+        behind = field * 16 * int((self.spans[2 : 3 * spans : 3] - self.spans[1 : 3 * spans : 3]).sum()) if field else 0
+        return self.first_real(spans) + behind
 
 
 def node_numbers(message, planes, patch):
@@ -75,7 +77,7 @@ class Halo:
         self.low_shared = self.high_shared = False
         self.sent = np.zeros(2, np.int64) if sent is None else sent
         self.tags = 2 * len(slabs.cuts)
-        shape = patch.rows, patch.row_quads, patch.real, room
+        shape = patch.rows, patch.row_quads, patch.real, room, patch.fields
         for number, cut in enumerate(slabs.cuts):
             sums_tag, unsummed_tag = 2 * number, 2 * number + 1
             if comm.rank == cut.earlier:
@@ -98,7 +100,7 @@ class Halo:
                     self.sums.append((cut.earlier, unsummed_tag, Message(cut.planes, *shape), low))
                 self.as_later.append((cut.earlier, sums_tag, Message(cut.planes, *shape), planes, pairs))
                 self.note_shared(low, cut.planes)
-        self.outgoing: list[tuple] = []  # (where reals go, where they are)
+        self.outgoing: list[tuple] = []  # (where nodes go, where they are)
 
     def note_shared(self, first, count):
         self.low_shared |= first == 0
@@ -113,17 +115,22 @@ class Halo:
             starts = rows[:: patch.rows]
             spans = patch.spans[starts[0] : starts[-1]].copy()
             spans[:, 0] %= patch.rows
-            nodes = patch.nodes[4 * patch.plane_start[low] : 4 * patch.plane_start[low + message.planes]].reshape(-1)
-            self.outgoing.append((message.tell(np.diff(starts), spans, nodes.size), nodes))
+            nodes = patch.nodes[:, 4 * patch.plane_start[low] : 4 * patch.plane_start[low + message.planes]]
+            self.send_from(nodes, message, np.diff(starts), spans)
         first = 0
         for _, _, message, pairs in self.unsummed:
             of_layers = [slice(*patch.placed_start[layer : layer + 2]) for layer in pairs[:, 0]]
             spans = [patch.placed[of_layer, :3] for of_layer in of_layers]
             begin, end = patch.slot_start[first], patch.slot_start[first + len(pairs)]
-            kept = patch.unsummed[4 * begin : 4 * end].reshape(-1)
-            self.outgoing.append((message.tell(list(map(len, spans)), np.concatenate(spans), kept.size), kept))
+            kept = patch.unsummed[:, 4 * begin : 4 * end]
+            self.send_from(kept, message, list(map(len, spans)), np.concatenate(spans))
             first += len(pairs)
         self.ready()
+
+    def send_from(self, values, message, counts, spans):
+        """Let a message take these nodes of all fields, (fields, n, 4), each time."""
+        rooms = message.tell(counts, spans, values.size).reshape(values.shape)
+        self.outgoing += zip(rooms, values, strict=True)
 
     def ready(self, values=None, rooms=None):
         """Ready the messages. With arrays of cards that the sums lie in and come into, messages hold no more than which nodes
@@ -145,7 +152,7 @@ class Halo:
         patch, nothing = self.patch, Message(0, 1, 1, self.patch.real)
         self.add(nothing, np.zeros(0, np.int64))
         self.kernels.add_slots(
-            patch.nodes, patch.unsummed, patch.placed, patch.placed_start, patch.slots, np.zeros((0, 2), np.int64)
+            patch.nodes[0], patch.unsummed[0], patch.placed, patch.placed_start, patch.slots, np.zeros((0, 2), np.int64)
         )
 
     def pack(self):
@@ -182,7 +189,8 @@ class Halo:
 
     def add(self, message, planes):
         patch = self.patch
-        self.kernels.add_planes(
-            patch.nodes, patch.spans, patch.row_start, patch.first_quads, patch.rows, planes, message.counts,
-            message.spans, message.reals, message.told(),
-        )  # fmt: skip
+        for field, nodes in enumerate(patch.nodes):
+            self.kernels.add_planes(
+                nodes, patch.spans, patch.row_start, patch.first_quads, patch.rows, planes, message.counts,
+                message.spans, message.reals, message.told(field),
+            )  # fmt: skip

@@ -33,6 +33,9 @@ class Cpu:
         self.simulation, self.crew = simulation, Crew(threads)
         self.real, self.tables = simulation.real, [table.astype(simulation.real) for table in simulation.tables]
         counts = [table.shape[1] - PARAMETERS for table in self.tables]
+        fields = [law.velocity_field for law in simulation.needs.laws]
+        # Of each law its velocity field, and whether it is the last one there, which folds.
+        self.fields = [(field, field != after) for field, after in zip(fields, [*fields[1:], -1], strict=True)]
         self.kernels = build.build(simulation.needs, simulation.layouts, counts, build.chosen_loops(), threads)
         self.extremes = np.zeros(FORCE + 1)  # maxima of the step: those of G2P, and |b|^2 of the body force
         self.gone: list = []
@@ -68,6 +71,8 @@ class Cpu:
         needs, kernels, nothing = self.simulation.needs, self.kernels, [(0, 0)]
         if needs.scheme.blends:
             self.p2g(nothing, 0.0, "p2g_before")
+        if needs.contact:
+            self.p2g(nothing, 0.0, "p2g_volumes")
         if needs.f_bar:
             self.p2g(nothing, 0.0, "p2g_divergence")
             self.measure_divergence(nothing)
@@ -79,11 +84,11 @@ class Cpu:
             self.simulation.halo.warm_up()
         for obstacle in self.simulation.drive.obstacles:
             self.simulation.drive.contact(obstacle)
-            self.collide(obstacle, 0, 0)
+            self.collide(obstacle, self.patch.nodes[0], 0, 0)
         none, normal, met = self.real(0), np.zeros(needs.dim, self.real), np.zeros((0, 5), np.int64)
         for wall, image in zip(kernels.walls.values(), kernels.images.values(), strict=True):
-            wall(self.patch.nodes, met, 0, 0, normal, none, normal)
-            image(self.patch.nodes, met, 0, 0, normal, normal)
+            wall(self.patch.nodes[0], met, 0, 0, normal, none, normal)
+            image(self.patch.nodes[0], met, 0, 0, normal, normal)
 
     def take_particles(self):
         """Take note that the simulation holds other particles, or has ordered them anew."""
@@ -148,14 +153,14 @@ class Cpu:
 
     def clear(self):
         """No impulse and no mass on any node."""
-        nodes = self.patch.nodes
+        nodes = self.patch.nodes.reshape(-1, 4)
         self.crew.share(
             lambda part, _: nodes[slice(*part)].fill(0.0), pieces(0, len(nodes), self.threads, WORTH_SHARING)
         )
 
     def p2g(self, parts, dt, phase):
-        """Particles to nodes, by the kernels of a phase: p2g, p2g_before or p2g_divergence. Returns the number of runs of
-        particles with the same stencil."""
+        """Particles to nodes, by the kernels of a phase: p2g, p2g_before, p2g_volumes or p2g_divergence. Returns the number of
+        runs of particles with the same stencil."""
         kernels = getattr(self.kernels, phase)
         return sum(self.crew.share(lambda part, thread: self.p2g_layers(part, thread, dt, kernels), parts))
 
@@ -165,10 +170,11 @@ class Cpu:
         for begin in range(first, max(last, first + 1), patch.chunk):
             end = min(begin + patch.chunk, last)
             for number, (kernel, p) in enumerate(zip(p2g, self.populations, strict=True)):
+                field, folds = self.fields[number]
                 runs += kernel(
                     p.reals, p.places, p.segments, p.layer_start, begin, end, self.tables[number],
-                    patch.windows[thread], patch.corner, number == len(p2g) - 1, patch.placed, patch.placed_start,
-                    patch.slots, patch.nodes, patch.unsummed, kernels.scratch[thread], kernels.first_nodes[thread],
+                    patch.windows[thread], patch.corner, folds, patch.placed, patch.placed_start, patch.slots,
+                    patch.nodes[field], patch.unsummed[field], kernels.scratch[thread], kernels.first_nodes[thread],
                     kernels.constants, self.real(dt), simulation.dx, simulation.inv_dx, simulation.first_layer,
                     self.real(simulation.time), simulation.drive.factor, self.works,
                 )  # fmt: skip
@@ -208,29 +214,45 @@ class Cpu:
     def update_planes(self, planes, dt):
         """Momentum to velocity on a range of planes of the patch, with gravity, damping, colliders, walls and regions."""
         patch, drive, (first, last) = self.patch, self.simulation.drive, planes
-        nodes, quads = patch.nodes, (patch.plane_start[first], patch.plane_start[last])
-        for images in patch.images:
-            images.sum(nodes, first, last)
-        if drive.has_gravity:
-            self.kernels.add_gravity(nodes, *quads, drive.gravity_gain(dt))
-        if drive.damping > 0.0:
-            self.kernels.damp(nodes, *quads, drive.kept(dt))
+        quads = patch.plane_start[first], patch.plane_start[last]
+        for nodes in patch.nodes:
+            for images in patch.images:
+                images.sum(nodes, first, last)
+            if drive.has_gravity:
+                self.kernels.add_gravity(nodes, *quads, drive.gravity_gain(dt))
+            if drive.damping > 0.0:
+                self.kernels.damp(nodes, *quads, drive.kept(dt))
+        if patch.fields > 1:
+            self.touch(*quads)
+        for nodes in patch.nodes:
+            self.hold(nodes, planes, quads)
+
+    def hold(self, nodes, planes, quads):
+        """Momentum to velocity of one field: what colliders, walls and regions make of it."""
+        drive = self.simulation.drive
         for obstacle in drive.obstacles:
-            self.collide(obstacle, *drive.contact(obstacle).between(first, last))
-        here = [(wall, wall.between(first, last)) for wall in self.simulation.walls]
+            self.collide(obstacle, nodes, *drive.contact(obstacle).between(*planes))
+        here = [(wall, wall.between(*planes)) for wall in self.simulation.walls]
         for wall, part in here:
             self.kernels.walls[wall.type](nodes, wall.met, *part, wall.normal, wall.coefficient, wall.velocity)
         self.kernels.divide_by_mass(nodes, *quads)
         for wall, part in here:
             self.kernels.images[wall.type](nodes, wall.met, *part, wall.normal, wall.velocity)
         for region in drive.regions:
-            region.impose(nodes, first, last)
+            region.impose(nodes, *planes)
 
-    def collide(self, obstacle, first, last):
+    def touch(self, first, last):
+        """What bodies of different velocity fields do to each other on some quads."""
+        patch, contact = self.patch, self.simulation.drive.touching
+        self.kernels.touch(
+            patch.nodes, patch.volumes, contact.room, contact.pairs, contact.frictions, 4 * first, 4 * last
+        )
+
+    def collide(self, obstacle, nodes, first, last):
         """What the surface of a collider does to the momenta of some of its nodes."""
         contact, given = obstacle.contact, np.zeros(obstacle.parts, np.int64)
         self.kernels.colliders[obstacle.type](
-            self.patch.nodes, contact.numbers, first, last, contact.normals, contact.velocities, contact.arms,
+            nodes, contact.numbers, first, last, contact.normals, contact.velocities, contact.arms,
             contact.counted, obstacle.coefficient, obstacle.per_unit, obstacle.per_reach, given,
         )  # fmt: skip
         obstacle.found.append(given)
@@ -250,12 +272,13 @@ class Cpu:
         patch, kernels, simulation = self.patch, self.kernels, self.simulation
         extremes, failed = np.zeros(FORCE), []
         for number, (kernel, p) in enumerate(zip(kernels.g2p, self.populations, strict=True)):
-            failure = np.zeros(3, np.int64)
+            failure, (field, _) = np.zeros(3, np.int64), self.fields[number]
             *found, step = kernel(
-                p.reals, p.places, p.segments, p.layer_start, *layers, self.tables[number], patch.nodes, patch.before,
-                simulation.blend, patch.divergences, patch.spans, patch.row_start, patch.first_quads, patch.corner,
-                patch.rings[thread], simulation.first_layer, simulation.limits, simulation.ends, kernels.scratch[thread],
-                kernels.first_nodes[thread], kernels.constants, dt, simulation.dx, simulation.inv_dx, failure,
+                p.reals, p.places, p.segments, p.layer_start, *layers, self.tables[number], patch.nodes[field],
+                patch.before[field], simulation.blend, patch.divergences[field], patch.spans, patch.row_start,
+                patch.first_quads, patch.corner, patch.rings[thread], simulation.first_layer, simulation.limits,
+                simulation.ends, kernels.scratch[thread], kernels.first_nodes[thread], kernels.constants, dt, simulation.dx,
+                simulation.inv_dx, failure,
             )  # fmt: skip
             np.maximum(extremes, found, out=extremes)
             self.steps[thread] = max(self.steps[thread], step)
@@ -270,9 +293,9 @@ class Cpu:
 
     def measure_layers(self, layers, thread):
         kernels, patch = self.kernels, self.patch
-        for kernel, p in zip(kernels.measure_divergence, self.populations, strict=True):
+        for (field, _), kernel, p in zip(self.fields, kernels.measure_divergence, self.populations, strict=True):
             kernel(
-                p.reals, p.places, p.segments, p.layer_start, *layers, patch.nodes, patch.spans, patch.row_start,
+                p.reals, p.places, p.segments, p.layer_start, *layers, patch.nodes[field], patch.spans, patch.row_start,
                 patch.first_quads, patch.corner, patch.rings[thread], kernels.scratch[thread],
                 kernels.first_nodes[thread], kernels.constants, self.simulation.inv_dx,
             )  # fmt: skip
@@ -280,10 +303,21 @@ class Cpu:
     def average(self, name):
         """Divide the sums on the nodes by their mass, or volume, and keep what comes out as the patch's `name`."""
         patch = self.patch
-        for images in patch.images:
-            images.sum(patch.nodes, 0, patch.planes)
-        self.kernels.divide_by_mass(patch.nodes, 0, patch.quads)
+        for nodes in patch.nodes:
+            for images in patch.images:
+                images.sum(nodes, 0, patch.planes)
+            self.kernels.divide_by_mass(nodes, 0, patch.quads)
         getattr(patch, name)[:] = patch.nodes
+
+    def keep_volumes(self):
+        """Keep the sums of volumes and their gradients on the nodes, with what walls mirror, as the patch's `volumes`."""
+        patch = self.patch
+        patch.volumes[:] = patch.nodes
+        for volumes in patch.volumes:
+            for images in patch.images:
+                images.sum(volumes, 0, patch.planes)
+            for wall in self.simulation.walls:
+                wall.mirror(volumes)
 
     def keep_nodes(self):
         """Put the velocities on the nodes aside."""

@@ -19,6 +19,7 @@ from pmpm.parallel.halo import node_numbers, zeros
 from pmpm.parallel.parts import Crew
 from pmpm.processors.on_card import OnCard
 from pmpm.scene.errors import SceneError
+from pmpm.scene.needs import refuse_on_cards
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.memory import Scratch
 from pmpm.state.particles import LANES
@@ -36,6 +37,7 @@ class Cuda:
     tiled = True  # whether P2G sums in shared memory first
 
     def __init__(self, simulation):
+        refuse_on_cards(simulation.needs)
         self.simulation, self.crew, self.real = simulation, Crew(1), simulation.real
         counts = [table.shape[1] - PARAMETERS for table in simulation.tables]
         most = max(FIELD_TUPLES)

@@ -21,12 +21,18 @@ MOST_NODES = 59_000_000  # of a plane: 9 planes of 4 reals (a ring, cubic) are c
 def law_of_body(scene, body):
     """The LawNeeds of a body's material."""
     material = scene.materials[body.material]
-    return law_needs(material.model, material.parameters)
+    return law_needs(material.model, material.parameters, velocity_fields(scene)[body.material])
+
+
+def velocity_fields(scene):
+    """{material of a body or an inflow: the number of its velocity field}: one for all unless they are in contact."""
+    materials = tuple(dict.fromkeys(source.material for source in scene.sources))
+    return dict.fromkeys(materials, 0) if scene.contact is None else scene.contact.velocity_fields(materials)
 
 
 def scene_needs(scene):
     """What a scene asks of the kernels."""
-    laws = tuple(dict.fromkeys(law_of_body(scene, source) for source in scene.sources))
+    laws = dict.fromkeys(law_of_body(scene, source) for source in scene.sources)
     walls = tuple(sorted({wall.type for wall in scene.domain.walls.values()} - set(NOT_HELD)))
     method = scene.method
     asked = scene.parallel.slab_axis
@@ -40,7 +46,7 @@ def scene_needs(scene):
         method.shape_function,
         slab_axis,
         periodic,
-        laws,
+        tuple(sorted(laws, key=lambda law: law.velocity_field)),
         walls,
         collider_types=tuple(sorted({collider.surface.type for collider in scene.colliders})),
         f_bar=method.f_bar,
@@ -50,6 +56,12 @@ def scene_needs(scene):
         open_axes=tuple(opened) if (opened := open_faces(scene).any(axis=1)).any() else (),
         shared=any(seeding.gives_shares(body) for body in scene.bodies),
     )
+
+
+def refuse_on_cards(needs):
+    """Raise SceneError for what only processors do."""
+    if needs.contact:
+        raise SceneError("scene: contact: runs on processors only, not with backend cuda")
 
 
 def open_faces(scene):
@@ -173,6 +185,16 @@ class PatchWall:
                 )
         self.met = np.stack(columns, axis=1)
         self.plane_start = np.searchsorted(on[0], np.arange(patch.planes + 1))
+
+    def mirror(self, volumes):
+        """Add to the volumes (n, 4) of nodes, and their gradients, what the face mirrors."""
+        image, on = np.ones(4, volumes.dtype), self.met[:, 0]
+        image[np.flatnonzero(self.normal)] = -1.0
+        volumes[on] += image * volumes[on]
+        for far in range(1, self.met.shape[1], 2):
+            beyond, inside = self.met[:, far], self.met[:, far + 1]
+            volumes[inside] += image * volumes[beyond]
+            volumes[beyond] = image * volumes[inside]
 
     def between(self, first_plane, last_plane):
         """Which of what is met lies on planes first_plane .. last_plane - 1: (first, last + 1)."""

@@ -13,6 +13,7 @@ from pmpm.kernels.needs import STENCILS, TRANSFERS
 from pmpm.physics.materials import LAWS, law_of
 from pmpm.scene import files, forcing, geostatic, outside, start, watched
 from pmpm.scene.colliders import Collider, Surface, named, table_of_type, wrong_names
+from pmpm.scene.contact import Contact
 from pmpm.scene.exact import Exact, wrong_exact
 from pmpm.scene.functions import Unfit
 from pmpm.scene.geostatic import Geostatic
@@ -384,6 +385,9 @@ class Scene(Part):
     colliders: Annotated[tuple[Collider, ...], tables("collider", least=0)] = Field(
         default=(), description="one table [[colliders]] for each rigid thing in the way"
     )
+    contact: Contact | None = Field(
+        default=None, description="table of contact between materials; without it bodies that touch are bonded"
+    )
     exact: Exact | None = Field(
         default=None,
         description="functions of (X, t), from Python: the exact solution, against which errors are measured",
@@ -502,6 +506,10 @@ class Scene(Part):
                 Problem(("materials", name, *problem.path), problem.text, problem.value)
                 for problem in material.wrong_law(self.dim)
             ]
+        if self.contact is not None:
+            used = tuple(source.material for source in self.sources)
+            wrong = self.contact.wrong_contact(self.materials, used)
+            problems += [Problem(("contact", *problem.path), problem.text, problem.value) for problem in wrong]
         if not problems:
             problems += [
                 Problem((*path, *problem.path), problem.text, problem.value)

@@ -71,18 +71,19 @@ class Images:
 class Patch:
     """This rank's nodes: those that its particles reach on planes first_plane .. first_plane + planes - 1; and scratch.
 
-    nodes (n, 4): momentum or velocity (3), mass; in quads, plane after plane, row after row. `before`: velocities before the
-    step, for schemes that blend; `divergences`, and `velocities` to keep meanwhile, for F-bar; otherwise the nodes themselves.
+    nodes (fields, n, 4), of each velocity field: momentum or velocity (3), mass; in quads, plane after plane, row after row.
+    `before`: velocities before the step, for schemes that blend; `divergences`, and `velocities` to keep meanwhile, for F-bar;
+    `volumes`: gradient and volume of what lies around, for contact; otherwise the nodes themselves.
     spans (m, 3), row_start and first_quads (m + 1,), placed and placed_start: which nodes there are, see kernels.spans.
     windows and rings: what P2G and G2P work in, one per thread, from `corner` (middle, row, rows of a plane) on. One law needs
     one window; several need some, so that each does a few layers at a time. `slots` (layers, window): where in `unsummed`, in
     quads, a layer's plane is kept apart, or -1.
     """
 
-    def __init__(self, geometry, first_layer, last_layer, laws, real, blends=False, f_bar=False, threads=1):
+    def __init__(self, geometry, first_layer, last_layer, laws, real, blends=False, f_bar=False, threads=1, fields=1):
         stencil, layers = geometry.stencil, last_layer - first_layer
         self.geometry, self.real, self.laws, self.threads = geometry, real, laws, threads
-        self.blends, self.f_bar = blends, f_bar
+        self.blends, self.f_bar, self.fields = blends, f_bar, fields
         self.layers, self.first_layer, self.first_plane = layers, first_layer, first_layer - stencil.reach_low
         self.planes = layers + stencil.window - 1 if layers else 0
         self.rows, row = geometry.plane_shape
@@ -145,10 +146,11 @@ class Patch:
         self.row_start = np.searchsorted(self.spans[:, 0], np.arange(self.planes * self.rows + 1))
         self.plane_start = self.first_quads[self.row_start[:: max(self.rows, 1)]]
         self.quads = int(self.first_quads[-1])
-        self.nodes = self.room("nodes", self.quads)
-        self.before = self.room("before", self.quads) if self.blends else self.nodes
-        self.divergences = self.room("divergences", self.quads) if self.f_bar else self.nodes
-        self.velocities = self.room("velocities", self.quads) if self.f_bar else self.nodes
+        self.nodes = self.of_fields("nodes", self.quads)
+        self.before = self.of_fields("before", self.quads) if self.blends else self.nodes
+        self.divergences = self.of_fields("divergences", self.quads) if self.f_bar else self.nodes
+        self.velocities = self.of_fields("velocities", self.quads) if self.f_bar else self.nodes
+        self.volumes = self.of_fields("volumes", self.quads) if self.fields > 1 else self.nodes
         rows = self.spans[:, 0] % max(self.rows, 1)
         low, high = (rows.min(), rows.max() + 1) if len(rows) else (0, 1)
         first, last = (self.spans[:, 1].min(), self.spans[:, 2].max()) if len(rows) else (0, 1)
@@ -184,11 +186,16 @@ class Patch:
         self.slot_start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         for (layer, k), start in zip(self.apart, self.slot_start, strict=False):
             self.slots[layer, k] = start
-        self.unsummed = self.room("unsummed", int(self.slot_start[-1]))
+        self.unsummed = self.of_fields("unsummed", int(self.slot_start[-1]))
 
     def add_apart(self, kernels, pairs):
         """Add what P2G has kept apart of (layer, plane of its window) pairs, one after another."""
-        kernels.add_slots(self.nodes, self.unsummed, self.placed, self.placed_start, self.slots, pairs)
+        for nodes, unsummed in zip(self.nodes, self.unsummed, strict=True):
+            kernels.add_slots(nodes, unsummed, self.placed, self.placed_start, self.slots, pairs)
+
+    def of_fields(self, name, quads):
+        """(fields, 4 quads, 4) of `room`."""
+        return self.room(name, self.fields * quads).reshape(self.fields, -1, 4)
 
     def room(self, name, quads):
         """(4 quads, 4) reals that are zero at first, kept under this name; larger ones take the place of smaller ones."""

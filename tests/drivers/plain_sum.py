@@ -11,10 +11,10 @@ from pmpm.parallel.halo import Halo
 
 def finish(self):
     for _, _, message, planes, _ in self.as_earlier:
-        add_partial_sums(self.patch.nodes, self.add, message, planes)
+        add_partial_sums(self.patch.nodes[0], self.add, message, planes)
     for _, _, message, planes, pairs in self.as_later:
         self.add(message, planes)
-        add_partial_sums(self.patch.nodes, self.patch.add_apart, self.kernels, pairs)
+        add_partial_sums(self.patch.nodes[0], self.patch.add_apart, self.kernels, pairs)
 
 
 def add_partial_sums(nodes, add, *arguments):

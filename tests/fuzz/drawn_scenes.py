@@ -36,6 +36,7 @@ MESHES = {
 }  # 2 wide, one group
 POINTS = MESHES | {3: MESHES[3].with_name("points.csv")}
 OWN_KERNELS = [next(row for row in ROWS if row["dim"] == dim) for dim in (2, 3)]
+IN_CONTACT = next(row for row in ROWS if row["material"] == "several" and row["dim"] == 2)
 ELASTIC = ("neo_hookean", "hencky", "fixed_corotated")
 CELL_SIZES = (0.05, 1e-3, 20.0)
 NOT_IN_EVERY_SCENE = ("displacement", "plastic_strain")
@@ -117,6 +118,8 @@ def scenes(draw, row=None, telling=0):
         if table["inflows"] and draw(st.booleans()):
             del table["bodies"]
             table.pop("loads", None)
+    if row == IN_CONTACT and draw(st.booleans()):
+        table["contact"] = draw(contact(names))
     if draw(st.booleans()):
         table["guard"] = {"keep_copy": draw(st.booleans()), "interval": draw(st.sampled_from((1, 2, 100)))}
         table["guard"]["energy_gain"] = draw(st.sampled_from((0.0, 0.5, 1e300)))
@@ -323,6 +326,17 @@ def load(draw, bodies, dim):
     everywhere = {"type": "box", "min": [-1e6] * dim, "max": [1e6] * dim}
     shapes = [everywhere if body["shape"]["type"] == "particles" else body["shape"] for body in bodies]
     return {"shape": copy.deepcopy(draw(st.sampled_from(shapes))), kind: draw(vectors(-0.01, 0.01, dim))}
+
+
+@st.composite
+def contact(draw, names):
+    """Between the first two of some materials, of which bodies may have no others."""
+    pair = {"materials": names[:2], "friction": draw(between(0.0, 2.0))}
+    return {
+        "friction": draw(maybe(between(0.0, 1.0))),
+        "together": draw(maybe(st.sampled_from(([], [[names[0]]], [names[1:]])))),
+        "pairs": draw(maybe(st.lists(st.just(pair), max_size=1))),
+    }
 
 
 @st.composite

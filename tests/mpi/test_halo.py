@@ -83,7 +83,15 @@ def fold(given, first, last, patch):
         of_layer = given[patch.first_layer + layer]
         windows[0] = of_layer[:, middle : middle + windows.shape[2], node : node + windows.shape[3]]
         kernels(patch.real).fold_layer(
-            windows, 0, layer, patch.placed, patch.placed_start, patch.corner, patch.slots, patch.nodes, patch.unsummed
+            windows,
+            0,
+            layer,
+            patch.placed,
+            patch.placed_start,
+            patch.corner,
+            patch.slots,
+            patch.nodes[0],
+            patch.unsummed[0],
         )
 
 
@@ -134,7 +142,7 @@ def differing_planes(patch, expected, layers, periodic):
     for number in range(patch.planes):
         name = (number + patch.first_plane) % layers if periodic else number + patch.first_plane
         here = plane == number
-        if patch.nodes[here].tobytes() != expected[name][middle[here], node[here]].tobytes():
+        if patch.nodes[0][here].tobytes() != expected[name][middle[here], node[here]].tobytes():
             found.append(name)
     return found
 

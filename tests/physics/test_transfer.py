@@ -75,7 +75,7 @@ def gather(simulation, dt=0.0):
 
 
 def mass_and_vector(simulation):
-    nodes = simulation.patch.nodes.astype(float)
+    nodes = simulation.patch.nodes[0].astype(float)
     return nodes[:, 3], nodes[:, : simulation.dim]
 
 
@@ -85,7 +85,7 @@ def places(simulation):
     slab, middle, row = geometry.axes
     low = geometry.stencil.reach_low
     index = patch.nodes_of(slice(None))
-    x = np.empty((len(patch.nodes), geometry.dim))
+    x = np.empty((4 * patch.quads, geometry.dim))
     x[:, slab] = index[0] + patch.first_plane
     x[:, row] = index[2] - low
     if middle >= 0:
@@ -148,7 +148,7 @@ def test_g2p_conserves_momentum_and_angular_momentum(dim, transfer, shape, preci
     simulation = cloud(dim, transfer, shape, precision)
     x, m, _ = scatter(simulation, dt=0.0)
     velocity = np.random.default_rng(3).normal(size=(len(m), dim)).astype(simulation.real)
-    simulation.patch.nodes[:, :dim] = velocity
+    simulation.patch.nodes[0, :, :dim] = velocity
     grid = m[:, None] * velocity
     gather(simulation, dt=1e-4)
     _, momentum, angular = particle_totals(simulation)

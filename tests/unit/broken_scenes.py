@@ -98,6 +98,11 @@ def inflow(*changes):
     return GOOD_3D + text
 
 
+def contact(materials='["sand", "water"]', head="", more=""):
+    """A scene with contact between two of its materials."""
+    return GOOD + f"[contact]\n{head}\n[[contact.pairs]]\nmaterials = {materials}\nfriction = 0.2\n{more}"
+
+
 def mesh(keys):
     return solid(CYLINDER, f'{{ type = "mesh", {keys} }}')
 
@@ -339,6 +344,30 @@ BROKEN = [
     ("thin inflow", inflow("0.05]", "0.005]"), ["inflows[0].shape", "0.005 m along z", "2 cells = 0.01 m"]),
     ("inflow outside", inflow("0.05]", "0.2]"), ["inflows[0].shape", "out of the domain", "0.2 m along z"]),
     ("inflow along nothing", inflow("velocity = [0, 0, 1]", ""), ["inflows[0].velocity is missing"]),
+    ("contact with whom", contact('["sand", "watr"]'), ['contact.pairs[0].materials[1] = "watr"', "water?"]),
+    ("contact with one", contact('["sand"]'), ["contact.pairs[0].materials", "two materials"]),
+    ("contact with itself", contact('["sand", "sand"]'), ["contact.pairs[0].materials[1]", "named twice"]),
+    ("contact of the bonded", contact(head='together = [["sand", "water"]]'), ["contact.pairs[0].materials", "bonded"]),
+    (
+        "contact of nobody",
+        GOOD + '[contact]\ntogether = [["sand", "water"]]\n',
+        ["contact", "two materials", "sand and water"],
+    ),
+    (
+        "bonded twice",
+        contact(head='together = [["sand"], ["water", "sand"]]'),
+        ["contact.together[0][0]", "two groups"],
+    ),
+    ("bonded to nobody", contact(head='together = [["sad"]]'), ['contact.together[0][0] = "sad"', "sand?"]),
+    ("groups that are none", contact(head='together = "sand"'), ["contact.together", "list of groups"]),
+    ("groups of none", contact(head='together = ["sand"]'), ["contact.together[0]", "list of names"]),
+    ("negative friction in contact", contact(head="friction = -0.1"), ["contact.friction = -0.1", ">= 0"]),
+    (
+        "two frictions",
+        contact(more='[[contact.pairs]]\nmaterials = ["water", "sand"]\nfriction = 0.1\n'),
+        ["contact.pairs[1].friction = 0.1", "0.2 already", "sand and water"],
+    ),
+    ("unknown key of contact", contact(head="frictoin = 0.1"), ["contact.frictoin", "friction?"]),
     ("load without a force", GOOD + f"[[loads]]\nshape = {BOX}\n", ["loads[0]", "exactly one of force"]),
     ("load with both", GOOD + f"[[loads]]\nshape = {BOX}\nforce = [1, 0]\nacceleration = [1, 0]\n", ["not both"]),
     ("load in 3-D", GOOD + f"[[loads]]\nshape = {BOX}\nforce = [1, 0, 0]\n", ["loads[0].force", "2 numbers"]),

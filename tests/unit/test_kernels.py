@@ -25,7 +25,7 @@ from llvm_text import arithmetic_in
 
 import pmpm
 from pmpm.kernels import targets
-from pmpm.kernels.build import LAYING_OUT, OUT_OF_BLOCKS, PER_CUT, PER_OPEN, PER_PLACES, PER_SCENE, SORTING
+from pmpm.kernels.build import LAYING_OUT, OUT_OF_BLOCKS, PER_CONTACT, PER_CUT, PER_OPEN, PER_PLACES, PER_SCENE, SORTING
 from pmpm.physics import hencky
 from pmpm.physics.materials import neo_hookean
 from pmpm.physics.words import ATANH_OVER_ROOT, EXPM1_OF_TWICE
@@ -99,7 +99,7 @@ SCENES = {
     "colliding disks": lambda: pmpm.Scene.builtin("colliding_disks"),
     "water and sand": lambda: scene({"water": WATER, "sand": SAND}),
     "water, MLS": lambda: scene({"water": WATER}, transfer="mls"),
-    "float32, 2-D": lambda: scene(ALL_LAWS, "float32", dim=2, periodic=["x"], colliders=in_the_way(2)),
+    "float32, 2-D": lambda: scene(ALL_LAWS, "float32", dim=2, periodic=["x"], colliders=in_the_way(2), contact={}),
     "float32, 3-D": lambda: scene(ALL_LAWS, "float32", dim=3, periodic=["x"], colliders=in_the_way(3)),
     "float32, FLIP and F-bar": lambda: scene({"rubber": RUBBER}, "float32", "flip", f_bar=True),
     "float32, 3-D, water": lambda: scene({"water": WATER}, "float32", dim=3),
@@ -177,8 +177,9 @@ def test_mls_computes_no_weight_gradients(simulation_of):
 def test_float32_kernels_hold_no_double_arithmetic(simulation_of, loops, scene_name):
     """No entry of a step does, those that sort particles and sum planes included; the guard sums energies in double."""
     simulation = simulation_of(scene_name, loops)
-    simulation.kernels.damp(simulation.patch.nodes, 0, 0, simulation.drive.kept(0.0))
+    simulation.kernels.damp(simulation.patch.nodes[0], 0, 0, simulation.drive.kept(0.0))
     unused = (*OUT_OF_BLOCKS, *PER_OPEN, *(() if simulation.slabs.cuts else PER_CUT))
+    unused += () if simulation.needs.contact else PER_CONTACT
     entries = [name for name in simulation.kernels.entries if not name.startswith("energies")]
     texts = text_of(simulation, [name for name in entries if name not in unused])
     assert {name: found for name, text in texts.items() if (found := arithmetic_in(text, "double"))} == {}
