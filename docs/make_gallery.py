@@ -84,6 +84,12 @@ SHOWN = {
     "plough": Shown(
         snapshot=35, takes="25 s", expect="The force grows with the heap, from 48 N/m at 0.1 s to 158 N/m at 1.4 s."
     ),
+    "rolling_disk": Shown(
+        snapshot=20,
+        takes="10 s",
+        expect="Its foot rests while it rolls; 0.9 % farther than a rigid disk after 1.5 s. "
+        "[Other slopes and cells](results/contact.md).",
+    ),
     "rotating_drum": Shown(
         snapshot=60, takes="35 s", expect="A slope of 28 to 30 degrees; the angle of friction is 30."
     ),

@@ -28,6 +28,7 @@ BUILTIN = (
     "mixed_materials",
     "mud_slump",
     "plough",
+    "rolling_disk",
     "rotating_drum",
     "sliding_block",
     "slope_failure",
