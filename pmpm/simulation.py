@@ -662,6 +662,10 @@ class Simulation:
         """{name of a collider: (force (dim,) in N, torque in N m)}, the mean since this was last asked for. Collective."""
         return {o.name: o.mean_force(self.comm, self.time) for o in self.drive.obstacles}
 
+    def collider_places(self):
+        """{name of a collider: (rotation (dim, dim), shift (dim,) m)} since the start: where it is now."""
+        return {o.name: (o.turn.copy(), o.shift.copy()) for o in self.drive.obstacles}
+
     def measure(self):
         """Totals over all ranks, the same for any rank count: particles, mass, momentum, angular momentum, energies, ..."""
         return readout.measure(self)

@@ -14,22 +14,25 @@ INSTALL = "pip install 'pmpm[viz]'"
 @dataclass(frozen=True)
 class Surface:
     """What stands in the way of material, for pictures: points (n, dim) in m; triangles (m, 3) of them in space, or None for a
-    line through all points, in the plane as a rule."""
+    line through all points, in the plane as a rule. `place`: (rotation, shift) at a time (s), if it may move."""
 
     points: np.ndarray
     triangles: np.ndarray | None = None
     opacity: float = 0.6
-    place: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = (
-        None  # (rotation, shift) at a time (s), if it moves
-    )
+    name: str | None = None  # of a collider, by which snapshots tell where it is
+    place: Callable[[float], tuple[np.ndarray, np.ndarray] | None] | None = None
     pivot: np.ndarray | None = None
 
-    def at(self, time):
-        """The points at a time (s)."""
+    def at(self, time, places):
+        """The points at a time (s): where `places` tell, {name: (rotation, shift)}, else where `place` does; None where nobody
+        knows."""
         points = np.asarray(self.points)
         if self.place is None:
             return points
-        turn, shift = self.place(time)
+        placed = places[self.name] if self.name in places else self.place(time)
+        if placed is None:
+            return None
+        turn, shift = placed
         return (points - self.pivot) @ turn.T + self.pivot + shift
 
 
