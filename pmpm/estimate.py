@@ -14,7 +14,7 @@ from pmpm.physics import stability
 from pmpm.scene import start
 from pmpm.scene.errors import SceneError
 from pmpm.scene.forcing import velocity_at
-from pmpm.scene.seeding import lies_in, meeting_later_bodies, spread_places, surroundings
+from pmpm.scene.seeding import hole_of, lies_in, meeting_later_bodies, spread_places, surroundings
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
 from pmpm.state.grid import SLACK
@@ -65,7 +65,7 @@ def particles_of(scene, number, samples, around):
     if not np.all(low < high):
         return 0.0
     places = low + (high - low) * spread_places(samples, scene.dim)
-    inside = lies_in([body, *meeting_later_bodies(scene, number, around)], scene.colliders, places)
+    inside = lies_in([body, *meeting_later_bodies(scene, number, around)], hole_of(scene), places)
     return float(np.prod((high - low) / dx)) * body.particles_per_cell * np.count_nonzero(inside) / samples
 
 

@@ -24,7 +24,10 @@ def outlines(scene):
         driven = [key for key in DRIVERS if str(table.get(key, "")).startswith(PREFIX)]
         collider = read({key: value for key, value in table.items() if key not in driven})
         if collider is not None:
-            found += surfaces(collider, tuple(scene["domain"]["size"]), bool(driven))
+            domain = scene["domain"]
+            repeats = ("xyz"[axis] in domain.get("periodic", ()) for axis in range(len(domain["size"])))
+            periods = tuple(a if repeated else math.inf for a, repeated in zip(domain["size"], repeats, strict=True))
+            found += surfaces(collider, tuple(domain["size"]), periods, bool(driven))
     return tuple(found)
 
 
@@ -38,11 +41,12 @@ def read(table):
         return None
 
 
-def surfaces(collider, size, driven):
-    """Surfaces of one collider in a domain of this size (m). `driven`: a function moves it."""
+def surfaces(collider, size, periods, driven):
+    """Surfaces of one collider in a domain of this size and these periods (m). `driven`: a function moves it."""
     dim, shape = len(size), collider.shape
     moves = collider.moves or driven
-    how: dict[str, Any] = {"name": collider.name, "pivot": collider.center(size)}
+    how: dict[str, Any] = {"name": collider.name, "pivot": collider.center(size, periods)}
+    how["periods"] = collider.repeats(periods)
     how["place"] = lambda time: None if driven else collider.placed(time, dim)
     if dim == 3 and shape.type == "terrain" and shape.depth is None:
         points, corners = ground(shape, size)

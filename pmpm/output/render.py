@@ -364,10 +364,9 @@ def mirrored(order):
 
 def draw_surfaces(axes, view, snapshot):
     """Draw the Surfaces of a View into its axes, where they are in a snapshot."""
-    for surface in view.surfaces:
-        points = surface.at(snapshot.time, snapshot.collider_places)
-        if points is None:
-            continue
+    where = snapshot.collider_places
+    placed = [(surface, points) for surface in view.surfaces for points in surface.at(snapshot.time, where)]
+    for surface, points in placed:
         points = points[:, list(view.order)]
         if surface.triangles is None:
             axes.plot(*points.T, color="black", lw=1.2)

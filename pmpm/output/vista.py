@@ -123,7 +123,8 @@ class Stage:
             box = self.pyvista.Box(bounds=sum(((0.0, length) for length in (*view.size, 0.0)[:3]), ()))
             plotter.add_mesh(box, style="wireframe", color=GREY, line_width=1, lighting=False, reset_camera=False)
         for surface in view.surfaces:
-            self.add(surface, surface.at(time, places))
+            for points in surface.at(time, places):
+                self.add(surface, points)
         plotter.add_axes(viewport=(0.0, 0.0, 0.14, 0.18))
         title = f"{view.title}    t = {time:.4g} s".strip()
         plotter.add_text(
@@ -132,9 +133,7 @@ class Stage:
         return plotter.screenshot(None, return_img=True)[..., :3]
 
     def add(self, surface, points):
-        """Draw a pictures.Surface with its points (n, dim) m where they are now; None: nobody knows where."""
-        if points is None:
-            return
+        """Draw a pictures.Surface with its points (n, dim) m where they are now."""
         points = in_space(points)
         if surface.triangles is None:
             mesh = self.pyvista.lines_from_points(points)

@@ -115,6 +115,12 @@ class Domain(Part):
         """Number of cells along each axis."""
         return tuple(round(length / self.cell_size) for length in self.size)
 
+    @property
+    def periods(self) -> tuple[float, ...]:
+        """After how far the domain repeats along each axis, m; infinite where it does not."""
+        lengths = zip(AXES, self.size, strict=False)
+        return tuple(length if axis in self.periodic else math.inf for axis, length in lengths)
+
     def wall(self, face: str) -> Wall:
         """Return the wall at a face such as `x_min`; KeyError on a periodic axis, which has none."""
         return self.walls[face]
@@ -605,7 +611,8 @@ class Scene(Part):
             places = low + (high - low) * spread_places(PLACES_OF_INFLOW, self.dim)
             places = places[inflow.shape.contains(places)]
             for collider in named(self.colliders):
-                part = float(np.mean(collider.signed_distance(places, 0.0) < 0.0)) if len(places) else 0.0
+                near = collider.nearest(places, self.domain.periods)
+                part = float(np.mean(collider.signed_distance(near, 0.0) < 0.0)) if len(places) else 0.0
                 if part > 0.0:
                     yield Problem(
                         ("inflows", index, "shape"), f"lies in the collider {collider.name}, {part:.2g} of it"

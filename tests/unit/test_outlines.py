@@ -29,7 +29,7 @@ def shown(collider):
 
 
 def middle(surface, time, places):
-    points = surface.at(time, places)
+    (points,) = surface.at(time, places)
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
@@ -38,10 +38,20 @@ def test_what_a_function_moves_is_not_drawn_where_it_is_not():
     assert middle(rests, 0.5, {}) == pytest.approx([0.3, 0.3], abs=1e-3)
     for motion in ({"velocity": lambda time: [1.0, 0.0]}, {"angular_velocity": lambda time: 90.0}):
         (moved,) = shown({"shape": BOX} | motion)
-        assert moved.at(0.0, {}) is None
+        assert moved.at(0.0, {}) == []
         here = {"collider_0": (np.eye(2), np.array([0.5, 0.0]))}  # as a snapshot tells
         assert middle(moved, 0.0, here) == pytest.approx([0.8, 0.3], abs=1e-3)
     assert not shown({"distance": lambda x, time: np.linalg.norm(x - 0.5, axis=1) - 0.2})
+
+
+def test_across_the_end_of_a_periodic_axis_both_parts_are_drawn():
+    periodic = {"domain": {"size": [1.0, 1.0], "cell_size": 0.1, "periodic": ["x"]}}
+    ball = {"shape": {"type": "sphere", "center": [0.8, 0.7], "radius": 0.1}, "velocity": [1.0, 1.0]}
+    (drawn,) = outlines(tomllib.loads(scene_of(ball, **periodic).to_toml()))
+    for time, where in ((0.0, [0.8]), (0.15, [-0.05, 0.95]), (0.4, [0.2]), (7.4, [0.2])):
+        found = [points.mean(axis=0) for points in drawn.at(time, {})]
+        assert [x for x, _ in found] == pytest.approx(where, abs=5e-3)
+        assert [y for _, y in found] == pytest.approx([0.7 + time] * len(where), abs=5e-3)
 
 
 def test_after_a_restart_with_another_velocity_a_collider_is_drawn_where_it_is(tmp_path):
