@@ -47,7 +47,7 @@ PLACES_OF_INFLOW = 2000  # that are asked whether they lie in a collider
 FLIP_BLEND = 0.99
 ENERGY_GAIN = 0.3
 SNAPSHOTS, DIAGNOSTICS = 50, 200
-WATCHED = ("probes", "gauges", "maps")  # of the output, absent where there are none
+UNASKED = ("checkpoint_at_end", "probes", "gauges", "maps")  # of the output, absent where they are not asked for
 WALL_INTERVAL = 1800.0
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
 ROUNDING = 1e-9
@@ -307,6 +307,9 @@ class Output(Part):
     checkpoint_keep: Annotated[int, whole(1, 1_000_000)] = Field(
         default=2, description="how many checkpoints are kept; older ones are deleted"
     )
+    checkpoint_at_end: Annotated[bool, flag()] = Field(
+        default=False, description="whether a finished run leaves a checkpoint, from which a later end continues it"
+    )
     probes: Annotated[tuple[watched.Probe, ...], tables("probe", least=0)] = Field(
         default=(), description="one table [[output.probes]] for each point at which material is watched"
     )
@@ -320,7 +323,7 @@ class Output(Part):
     @model_serializer(mode="wrap")
     def without_what_is_not_asked_for(self, dump: Any) -> Any:
         """As it stands in a file: a run that nobody watches so has the scene file that it always had."""
-        return {key: value for key, value in dump(self).items() if key not in WATCHED or value}
+        return {key: value for key, value in dump(self).items() if key not in UNASKED or value}
 
 
 class Guard(Part):
