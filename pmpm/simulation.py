@@ -17,7 +17,7 @@ from itertools import chain
 
 import numpy as np
 
-from pmpm import failure, guard, populate, readout, restart, restore
+from pmpm import estimate, failure, guard, populate, readout, restart, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
@@ -686,6 +686,7 @@ class Simulation:
         for key, shape in shapes_in(self.scene):
             flaws = shape.flaws() if hasattr(shape, "flaws") else []
             found += [f"warning: {key}: {shape.file} was mended: {'; '.join(flaws)}"] if flaws else []
+        found += [f"warning: {line}" for line in estimate.caught(self.scene)] if self.step_count == 0 else []
         return found
 
     @property
