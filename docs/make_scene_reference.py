@@ -40,7 +40,7 @@ It judges one key at a time. What keys mean together (that a body lies in the do
 
 """
 ROW = "| key | type | unit | allowed | default | meaning |\n| --- | --- | --- | --- | --- | --- |"
-CHOICES = ("anyOf", "oneOf", "allOf")
+CHOICES = ("anyOf", "allOf")
 MOST_LINKS = 3
 KINDS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
 
@@ -80,7 +80,7 @@ def references(told, where):
     for word in ("items", "additionalProperties"):
         if isinstance(told.get(word), dict):
             yield from references(told[word], where + ("[]" if word == "items" else ".NAME"))
-    for word in ("anyOf", "oneOf", "allOf"):
+    for word in CHOICES:
         for inner in told.get(word, ()):
             yield from references(inner, where)
 
@@ -125,7 +125,7 @@ def kind(told):
         return "word"
     parts = [name for name, _ in references({word: told[word] for word in CHOICES if word in told}, "")]
     if parts or "$ref" in told:
-        words = "word or " if "anyOf" in told else ""
+        words = "word or " if "anyOf" in told and "if" not in told else ""
         return words + "table: " + links(parts or [told["$ref"].rpartition("/")[2]])
     if told.get("type") == "array":
         return list_kind(told)
@@ -161,7 +161,7 @@ def allowed(told):
     words = told.get("enum", ())
     for choice in told.get("anyOf", ()):
         words = [*words, *choice.get("enum", ())]
-    if "oneOf" in told:
+    if "if" in told:
         return "; ".join(f"`{key}`: {allowed(inner)}" for key, inner in told.get("properties", {}).items())
     if told.get("type") == "object" and "properties" in told:
         faces = f"keys {', '.join(f'`{key}`' for key in told['properties'])}"

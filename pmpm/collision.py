@@ -12,7 +12,7 @@ import numpy as np
 
 from pmpm import estimate
 from pmpm.kernels.spans import QUADS
-from pmpm.scene.colliders import SampledDistance, normals_of, rotation, spin_at
+from pmpm.scene.colliders import SampledDistance, nearest_image, normals_of, rotation, spin_at
 from pmpm.scene.forcing import velocity_at
 from pmpm.scene.shapes import leaves_of
 
@@ -56,8 +56,11 @@ class Obstacle:
         self.type, self.coefficient = collider.surface.type, real(collider.surface.coefficient)
         size = np.array(scene.domain.size)
         self.low, self.high = collider.bounds(self.dim)
-        near, far = np.maximum(self.low, 0.0), np.minimum(self.high, size)
-        self.pivot = collider.center(scene.domain.size)
+        self.periods = collider.repeats(scene.domain.periods)
+        whole = np.isfinite(self.periods)
+        near = np.where(whole, self.low, np.maximum(self.low, 0.0))
+        far = np.where(whole, self.high, np.minimum(self.high, size))
+        self.pivot = collider.center(scene.domain.size, scene.domain.periods)
         self.sampled = sampled_distance(collider.shape, scene.domain.cell_size)
         self.reach = float(np.linalg.norm(np.maximum(np.abs(near - self.pivot), np.abs(far - self.pivot))))
         self.unit, self.length = unit, 2.0 ** math.ceil(math.log2(float(size.max())))
@@ -183,12 +186,16 @@ class Obstacle:
         return np.repeat(plane[one], 4), np.repeat(row[one], 4), (4 * quad[:, None] + np.arange(4)).reshape(-1)
 
     def coordinates(self, place, numbers):
-        """m along the axis of an array axis, of planes, rows or nodes of rows of the patch."""
+        """m along the axis of an array axis, of planes, rows or nodes of rows of the patch: of the images nearest to it."""
         geometry, axis = self.geometry, self.geometry.axes[place]
         node = numbers + (self.patch.first_plane if place == 0 else -geometry.stencil.reach_low)
         if geometry.periodic[axis]:
             node = node % geometry.cells[axis]
-        return node * geometry.cell_size
+        x = node * geometry.cell_size
+        if not math.isfinite(self.periods[axis]):
+            return x
+        low, high = self.box()
+        return nearest_image(x, low[axis], high[axis], self.periods[axis])
 
     def places(self, plane, middle, node):
         """(n, dim) coordinates of nodes."""

@@ -1,5 +1,6 @@
 """What a run will take, told before anything is counted or allocated: particles, memory, time steps; and what is too much."""
 
+import contextlib
 import math
 import os
 import resource
@@ -14,12 +15,14 @@ from pmpm.physics import stability
 from pmpm.scene import start
 from pmpm.scene.errors import SceneError
 from pmpm.scene.forcing import velocity_at
-from pmpm.scene.seeding import lies_in, meeting_later_bodies, spread_places, surroundings
+from pmpm.scene.functions import Unfit
+from pmpm.scene.seeding import hole_of, lies_in, meeting_later_bodies, spread_places, surroundings
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.fields import Layout
 from pmpm.state.grid import SLACK
 
 SAMPLES, FEWEST_SAMPLES, ALL_SAMPLES = 4096, 32, 1 << 19  # places tried in a body, and in all of them together
+CAUGHT = 0.03  # of a body: more inside of a collider is no touch
 MOST_COUNTED = 20_000_000  # places that are gone through one by one; more are estimated
 MOST_STEPS = 1e11  # years of a laptop on a hundred particles
 ID_BYTES = 8
@@ -60,13 +63,51 @@ def particles_of(scene, number, samples, around):
     body, dx = scene.bodies[number], scene.domain.cell_size
     if body.shape.type == "particles":
         return float(len(body.shape.x))
+    places, extent = places_in(scene, number, samples, around)
+    return float(np.prod(extent / dx)) * body.particles_per_cell * len(places) / samples
+
+
+def places_in(scene, number, samples, around):
+    """((n, dim) m of places tried in the bounds of a body those at which it has particles, (dim,) m of these bounds)."""
+    body = scene.bodies[number]
     low, high = body.shape.bounds()
     low, high = np.maximum(low, 0.0), np.minimum(high, scene.domain.size)
     if not np.all(low < high):
-        return 0.0
+        return np.zeros((0, scene.dim)), np.zeros(scene.dim)
     places = low + (high - low) * spread_places(samples, scene.dim)
-    inside = lies_in([body, *meeting_later_bodies(scene, number, around)], scene.colliders, places)
-    return float(np.prod((high - low) / dx)) * body.particles_per_cell * np.count_nonzero(inside) / samples
+    inside = lies_in([body, *meeting_later_bodies(scene, number, around)], hole_of(scene), places)
+    return places[inside], high - low
+
+
+def caught(scene):
+    """Lines on bodies of which more than CAUGHT lies inside of a collider at the start, from a few places in each."""
+    found: list[str] = []
+    if not scene.colliders:
+        return found
+    samples = max(FEWEST_SAMPLES, min(SAMPLES, ALL_SAMPLES // len(scene.bodies))) if scene.bodies else 0
+    around = surroundings(scene)
+    for number, body in enumerate(scene.bodies):
+        from_file = body.shape.type == "particles"
+        # Of other bodies nothing is left where colliders cut.
+        near = [c for c in scene.colliders if not c.cut or from_file or body.displacement is not None]
+        if not near:
+            continue
+        x = (
+            body.shape.x[:: -(-len(body.shape.x) // samples)]
+            if from_file
+            else places_in(scene, number, samples, around)[0]
+        )
+        if len(x) and body.displacement is not None:
+            with contextlib.suppress(Unfit):  # which whoever fills a simulation tells
+                x = x + start.evaluate(body.displacement, x, (scene.dim,))
+        for collider in near if len(x) else ():
+            inside = collider.signed_distance(collider.nearest(x, scene.domain.periods), 0.0) < 0.0
+            share = np.count_nonzero(inside) / len(x)
+            if share > CAUGHT:
+                part = f"bodies[{number}]: about {share:.2g} of it lies inside of the collider {collider.name}"
+                advice = "; cut = true would cut it out" if not (collider.cut or from_file) else ""
+                found.append(f"{part} at the start, which holds it there{advice}")
+    return found
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,7 @@ def explain(scene, ranks, backend="cpu"):
             for inflow, s in zip(scene.inflows, streams, strict=True)
         ),
         *mesh_lines(scene),
+        *(f"warning       {line}" for line in estimate.caught(scene)),
         *memory_lines(taken, ranks),
         f"time step     {dt:.3g} s at the start{' (fixed)' if scene.time.step else f', cfl {scene.time.cfl:g}'}",
         f"cost          about {math.ceil(scene.time.end / dt)} steps, {'at most ' if streams else ''}"

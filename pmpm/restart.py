@@ -130,7 +130,7 @@ def begin_without_checkpoint(path, scene, overrides, out, in_place, status, text
             return Begin(None, out, message=f"{path} has finished, nothing is left to do")
         raise SceneError(
             f"--restart {path}: has finished and holds no checkpoint from which to go on with a changed scene; "
-            "output.checkpoint_interval keeps some"
+            "output.checkpoint_at_end = true would have left one; --overwrite without --restart begins anew"
         )
     return Begin(scene, out, None, in_place, f"{path} holds no checkpoint yet: the run begins anew")
 

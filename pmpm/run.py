@@ -176,7 +176,7 @@ class Outputs:
             simulation.every(self.keep_copy, steps=guard.interval, at_start=True)
         simulation.every(self.answer, steps=1)
         simulation.run(until=until, steps=steps)
-        if not simulation.finished:
+        if not simulation.finished or output.checkpoint_at_end:
             self.write_checkpoint(simulation)
         if simulation.finished or simulation.asked < STOP:
             snapshots(simulation)

@@ -17,7 +17,7 @@ from itertools import chain
 
 import numpy as np
 
-from pmpm import failure, guard, populate, readout, restart, restore
+from pmpm import estimate, failure, guard, populate, readout, restart, restore
 from pmpm.drive import Drive
 from pmpm.failure import NumericalFailure
 from pmpm.kernels import build, targets
@@ -671,6 +671,10 @@ class Simulation:
         """{name of a collider: (force (dim,) in N, torque in N m)}, the mean since this was last asked for. Collective."""
         return {o.name: o.mean_force(self.comm, self.time) for o in self.drive.obstacles}
 
+    def collider_places(self):
+        """{name of a collider: (rotation (dim, dim), shift (dim,) m)} since the start: where it is now."""
+        return {o.name: (o.turn.copy(), o.shift.copy()) for o in self.drive.obstacles}
+
     def measure(self):
         """Totals over all ranks, the same for any rank count: particles, mass, momentum, angular momentum, energies, ..."""
         return readout.measure(self)
@@ -691,6 +695,7 @@ class Simulation:
         for key, shape in shapes_in(self.scene):
             flaws = shape.flaws() if hasattr(shape, "flaws") else []
             found += [f"warning: {key}: {shape.file} was mended: {'; '.join(flaws)}"] if flaws else []
+        found += [f"warning: {line}" for line in estimate.caught(self.scene)] if self.step_count == 0 else []
         return found
 
     @property

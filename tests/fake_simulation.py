@@ -67,6 +67,9 @@ class FakeSimulation:
     def mean_forces(self):
         return {}
 
+    def collider_places(self):
+        return {}
+
     def measure(self):
         return {"particles": float(self.count), "mass": 2.0 / 3.0, "momentum_x": 1e-300, "max_speed": float("nan")}
 

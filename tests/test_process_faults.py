@@ -63,6 +63,33 @@ def test_a_launcher_that_mpi_does_not_know_of_is_refused(variable, scene_file, t
     assert [path.name for path in tmp_path.iterdir()] == ["drop.toml"]
 
 
+ASK = "import mpi4py; mpi4py.rc.initialize = False; from mpi4py import MPI; print(MPI.Get_library_version())"
+
+
+def test_an_mpich_that_open_mpi_has_launched_is_refused_before_it_aborts(scene_file, tmp_path):
+    """With all that Open MPI's launcher says MPICH would end in MPI_Init, with a message of its own."""
+    library = launch.python(["-c", ASK], None, SOON, tmp_path).text.lower()
+    if "mpich" not in library or "pmix" in library:
+        pytest.skip("mpi4py is not that of an MPICH without PMIx")
+    launched = {
+        "OMPI_COMM_WORLD_SIZE": "2",
+        "PMIX_NAMESPACE": "1",
+        "PMIX_RANK": "0",
+        "PMIX_SERVER_URI2": "1.0;tcp4://0:1",
+    }
+    texts = []
+    for rank in ("0", "1"):
+        told = launched | {"OMPI_COMM_WORLD_RANK": rank, "PMIX_RANK": rank}
+        done = launch.python(["-m", "pmpm", "run", scene_file], None, SOON, tmp_path, **told)
+        assert done.status == 2, done.text
+        texts.append(done.text)
+    assert texts[0].startswith(
+        "pmpm: the launcher that started 2 processes is Open MPI's, but mpi4py belongs to MPICH. Use "
+    )
+    assert (texts[0].count("\n"), texts[1]) == (1, "")
+    assert [path.name for path in tmp_path.iterdir()] == ["drop.toml"]
+
+
 def test_of_two_processes_that_do_not_know_of_each_other_one_speaks(scene_file, tmp_path):
     texts = [
         launch.python(["-m", "pmpm", "run", scene_file], None, SOON, tmp_path, PMI_SIZE="2", PMI_RANK=rank).text

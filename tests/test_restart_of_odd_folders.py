@@ -75,6 +75,30 @@ def test_a_finished_run_has_nothing_to_do_however_its_folder_is_written(folder, 
     assert contents(folder / "run") == before
 
 
+def test_a_finished_run_goes_on_to_a_later_end_if_it_has_left_a_checkpoint(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(several_laws.flat(end=0.004).to_toml(), encoding="utf-8")
+    assert run("scene.toml", "--out", "run") == run("--restart", "run") == 0
+    assert not (tmp_path / "run" / "checkpoints").exists()
+    before = contents(tmp_path / "run")
+    assert run("--restart", "run", "--set", "time.end=0.006") == 2
+    assert "output.checkpoint_at_end = true would have left one" in capsys.readouterr().err
+    assert contents(tmp_path / "run") == before
+
+    assert run("scene.toml", "--out", "run", "--overwrite", "--set", "output.checkpoint_at_end=true") == 0
+    assert run("--restart", "run", "--set", "time.end=0.006") == 0
+    done = load("run")
+    assert done.status == "finished"
+    steps, times = done.diagnostics["step"], [snapshot.time for snapshot in done.snapshots]
+    assert (steps[1:] > steps[:-1]).all()
+    assert times == sorted(set(times))
+    assert (times[-1], done.diagnostics["time"][-1]) == (0.006, 0.006)
+    assert sorted(path.name for path in (tmp_path / "run" / "checkpoints").glob("*.hdf")) == [
+        "000000.hdf",
+        "000001.hdf",
+    ]
+
+
 def test_a_restart_that_takes_no_step_writes_no_second_last_snapshot(folder, whole):
     assert run("--restart", "run") == 0
     assert run("--restart", "run", "--set", "output.checkpoint_keep=3") == 0

@@ -6,6 +6,7 @@ from pmpm.output.datasets import Later
 
 FORMAT_VERSION = 1
 VTK_VERTEX = 1
+PLACED = "collider "  # begins the name of the attribute that tells where a collider is
 GROUP = 1 << 18  # rows that are made at a time
 
 
@@ -59,3 +60,18 @@ def snapshot_attributes(scene, time, step, dt):
             "materials": list(scene.materials),
         },
     }
+
+
+def place_attributes(places):
+    """{name: (dim, dim + 1)} of colliders, {name: (rotation (dim, dim), shift (dim,) m)} since the start: the rotation, and the
+    shift as the last column. One each, for HDF5 keeps 64 KiB in one."""
+    return {f"{PLACED}{name}": np.column_stack([turn, shift]) for name, (turn, shift) in places.items()}
+
+
+def places_told(attributes, dim):
+    """What `place_attributes` was made from. Raises ValueError for what is no place."""
+    told = {name: np.asarray(value) for name, value in attributes.items() if name.startswith(PLACED)}
+    for name, table in told.items():
+        if table.shape != (dim, dim + 1) or table.dtype.kind != "f" or not np.isfinite(table).all():
+            raise ValueError(f"attribute {name} is no place")
+    return {name.removeprefix(PLACED): (table[:, :dim], table[:, dim]) for name, table in told.items()}

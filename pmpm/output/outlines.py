@@ -7,25 +7,32 @@ import numpy as np
 from pydantic import ValidationError
 
 from pmpm.output.pictures import Surface
+from pmpm.scene.recorded import PREFIX
 
 AROUND = 0.02  # of the domain, to which what has no end is drawn beyond it
+DRIVERS = ("velocity", "angular_velocity")  # keys that may be functions of time
 FLAT, DEEP = 400, 96  # samples along an axis of the distance that an outline is drawn by
 GROUND = 200  # of a height map, along the longer axis
 
 
 def outlines(scene):
-    """Surfaces of the colliders of a scene (see reader.Run.table), as far as a file tells them; those that functions move and
-    those whose own file is gone are left out, and in space all but ground and meshes need PyVista."""
+    """Surfaces of the colliders of a scene (see reader.Run.table), as far as a file tells them; those that functions shape and
+    those whose own file is gone are left out, and in space all but ground and meshes need PyVista. Where those
+    are that functions move only snapshots tell."""
     found = []
     for table in scene.get("colliders", ()):
-        collider = read(table)
+        driven = [key for key in DRIVERS if str(table.get(key, "")).startswith(PREFIX)]
+        collider = read({key: value for key, value in table.items() if key not in driven})
         if collider is not None:
-            found += surfaces(collider, tuple(scene["domain"]["size"]))
+            domain = scene["domain"]
+            repeats = ("xyz"[axis] in domain.get("periodic", ()) for axis in range(len(domain["size"])))
+            periods = tuple(a if repeated else math.inf for a, repeated in zip(domain["size"], repeats, strict=True))
+            found += surfaces(collider, tuple(domain["size"]), periods, bool(driven))
     return tuple(found)
 
 
 def read(table):
-    """The Collider of a table, or None where a function tells what or where it is, or its file cannot be read."""
+    """The Collider of a table, or None where a function tells what it is, or its file cannot be read."""
     from pmpm.scene.colliders import Collider
 
     try:
@@ -34,13 +41,13 @@ def read(table):
         return None
 
 
-def surfaces(collider, size):
-    """Surfaces of one collider in a domain of this size (m)."""
+def surfaces(collider, size, periods, driven):
+    """Surfaces of one collider in a domain of this size and these periods (m). `driven`: a function moves it."""
     dim, shape = len(size), collider.shape
-    moves = collider.moves and collider.placed(0.0, dim) is not None
-    how: dict[str, Any] = {}
-    if moves:
-        how = {"place": lambda time: collider.placed(time, dim), "pivot": collider.center(size)}
+    moves = collider.moves or driven
+    how: dict[str, Any] = {"name": collider.name, "pivot": collider.center(size, periods)}
+    how["periods"] = collider.repeats(periods)
+    how["place"] = lambda time: None if driven else collider.placed(time, dim)
     if dim == 3 and shape.type == "terrain" and shape.depth is None:
         points, corners = ground(shape, size)
         return [Surface(points, corners, 1.0, **how)]

@@ -1,5 +1,7 @@
 """How pictures look, and what to install for them: matplotlib is an extra, imported when something is drawn."""
 
+import itertools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,23 +16,40 @@ INSTALL = "pip install 'pmpm[viz]'"
 @dataclass(frozen=True)
 class Surface:
     """What stands in the way of material, for pictures: points (n, dim) in m; triangles (m, 3) of them in space, or None for a
-    line through all points, in the plane as a rule."""
+    line through all points, in the plane as a rule. `place`: (rotation, shift) at a time (s), if it may move."""
 
     points: np.ndarray
     triangles: np.ndarray | None = None
     opacity: float = 0.6
-    place: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = (
-        None  # (rotation, shift) at a time (s), if it moves
-    )
+    name: str | None = None  # of a collider, by which snapshots tell where it is
+    place: Callable[[float], tuple[np.ndarray, np.ndarray] | None] | None = None
     pivot: np.ndarray | None = None
+    periods: tuple[float, ...] = ()  # m, after which it is there again, along the first axes; infinite for never
 
-    def at(self, time):
-        """The points at a time (s)."""
+    def at(self, time, places):
+        """The points at a time (s), and those of its images in the domain: where `places` tell, {name: (rotation, shift)}, else
+        where `place` does; none where nobody knows."""
         points = np.asarray(self.points)
-        if self.place is None:
-            return points
-        turn, shift = self.place(time)
-        return (points - self.pivot) @ turn.T + self.pivot + shift
+        if self.place is not None:
+            placed = places[self.name] if self.name in places else self.place(time)
+            if placed is None:
+                return []
+            turn, shift = placed
+            points = (points - self.pivot) @ turn.T + self.pivot + shift
+        return (
+            [points + way for way in itertools.product(*map(ways, points.T, self.periods))]
+            if self.periods
+            else [points]
+        )
+
+
+def ways(x, period):
+    """By which whole periods (m) coordinates (n,), m, move so that some lie between 0 and a period."""
+    if not math.isfinite(period):
+        return (0.0,)
+    slack = 1e-9 * period
+    first, last = math.ceil((slack - x.max()) / period), math.floor((period - slack - x.min()) / period)
+    return tuple(number * period for number in range(first, last + 1))
 
 
 def figure_class(asker):

@@ -17,7 +17,7 @@ import numpy as np
 from pmpm.output import manifests
 from pmpm.output.diagnostics import WHOLE
 from pmpm.output.files import OutputError
-from pmpm.output.layout import FORMAT_VERSION
+from pmpm.output.layout import FORMAT_VERSION, places_told
 from pmpm.output.run_directory import (
     CHECKPOINTS,
     DIAGNOSTICS,
@@ -177,6 +177,14 @@ class Snapshot:
     def step(self):
         """Number of steps taken before it."""
         return self.attributes["step"]
+
+    @property
+    def collider_places(self):
+        """{name of a collider: (rotation (dim, dim), shift (dim,) m)} since the start; none in older files."""
+        try:
+            return places_told(self.attributes, self.attributes["dim"])
+        except ValueError as error:
+            raise OutputError(damage(self.path, error)) from error
 
     @property
     def x(self):

@@ -240,7 +240,7 @@ def frames(backend, Figure, view, snapshots):  # noqa: N803
         stage = Stage(view)
         try:
             for snapshot in snapshots:
-                yield stage.frame(snapshot.x, colour_values(view, snapshot), snapshot.time)
+                yield stage.frame(snapshot.x, colour_values(view, snapshot), snapshot.time, snapshot.collider_places)
         finally:
             stage.close()
         return
@@ -345,7 +345,7 @@ def draw(figure, view, snapshot):
     axes.set_ylabel(f"{'xyz'[view.order[1]]} (m)", fontsize=8)
     axes.tick_params(labelsize=7)
     points = axes.scatter(*columns, c=values, s=marker_area(view, every), **style)
-    draw_surfaces(axes, view, snapshot.time)
+    draw_surfaces(axes, view, snapshot)
     if view.materials:
         for name, colour in zip(view.materials, view.material_colours, strict=True):
             axes.scatter(*[[] for _ in view.order], color=colour, label=name, s=20)
@@ -362,10 +362,12 @@ def mirrored(order):
     return order in ((0, 2, 1), (2, 1, 0), (1, 0, 2))
 
 
-def draw_surfaces(axes, view, time):
-    """Draw the Surfaces of a View into its axes, where they are at a time (s)."""
-    for surface in view.surfaces:
-        points = surface.at(time)[:, list(view.order)]
+def draw_surfaces(axes, view, snapshot):
+    """Draw the Surfaces of a View into its axes, where they are in a snapshot."""
+    where = snapshot.collider_places
+    placed = [(surface, points) for surface in view.surfaces for points in surface.at(snapshot.time, where)]
+    for surface, points in placed:
+        points = points[:, list(view.order)]
         if surface.triangles is None:
             axes.plot(*points.T, color="black", lw=1.2)
         elif len(view.size) == 3:

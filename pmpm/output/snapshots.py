@@ -14,7 +14,7 @@ import numpy as np
 
 from pmpm.output.datasets import default_parallel, write_datasets
 from pmpm.output.files import OutputError, explain, on_every_rank, on_rank_zero, write_atomically
-from pmpm.output.layout import snapshot_attributes, three_columns, topology
+from pmpm.output.layout import place_attributes, snapshot_attributes, three_columns, topology
 from pmpm.output.reader import reading
 from pmpm.output.run_directory import FAILED, INDEX, SNAPSHOTS, snapshot_files
 from pmpm.state.fields import OUTPUT_NAMES, OUTPUT_VECTORS
@@ -73,7 +73,7 @@ def write_snapshot(comm, path, simulation, scene, names, parallel, told=None):
     pieces = on_every_rank(comm, lambda: collect(simulation, scene, names))
     first, count = comm.offsets(simulation.rows())
     attributes = snapshot_attributes(scene, simulation.time, simulation.step_count, simulation.dt)
-    attributes["pmpm"] |= told or {}
+    attributes["pmpm"] |= place_attributes(simulation.collider_places()) | (told or {})
     shapes, _ = write_datasets(
         comm, path, topology(comm, first, simulation.rows(), count) | pieces, attributes, parallel
     )

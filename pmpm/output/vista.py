@@ -95,8 +95,8 @@ class Stage:
         camera.clipping_range = (1e-3 * far, 3.0 * far)
         self.pixels_per_metre = self.size[1] / (2.0 * scale)
 
-    def frame(self, x, values, time):
-        """(height, width, 3) bytes of particles at x (n, dim) m with values (n,), at a time in s."""
+    def frame(self, x, values, time, places):
+        """(height, width, 3) bytes of particles at x (n, dim) m with values (n,), at a time in s; `places` of colliders."""
         view, plotter, height = self.view, self.plotter, self.size[1]
         plotter.clear_actors()
         plotter.scalar_bars.clear()  # else a bar with the same title is thought to be there
@@ -123,7 +123,8 @@ class Stage:
             box = self.pyvista.Box(bounds=sum(((0.0, length) for length in (*view.size, 0.0)[:3]), ()))
             plotter.add_mesh(box, style="wireframe", color=GREY, line_width=1, lighting=False, reset_camera=False)
         for surface in view.surfaces:
-            self.add(surface, time)
+            for points in surface.at(time, places):
+                self.add(surface, points)
         plotter.add_axes(viewport=(0.0, 0.0, 0.14, 0.18))
         title = f"{view.title}    t = {time:.4g} s".strip()
         plotter.add_text(
@@ -131,9 +132,9 @@ class Stage:
         )
         return plotter.screenshot(None, return_img=True)[..., :3]
 
-    def add(self, surface, time):
-        """Draw a pictures.Surface where it is at a time (s)."""
-        points = in_space(surface.at(time))
+    def add(self, surface, points):
+        """Draw a pictures.Surface with its points (n, dim) m where they are now."""
+        points = in_space(points)
         if surface.triangles is None:
             mesh = self.pyvista.lines_from_points(points)
             self.plotter.add_mesh(mesh, color="black", line_width=2, lighting=False, reset_camera=False)

@@ -13,6 +13,10 @@ import numpy as np
 
 LAUNCHER_SIZE = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "PMIX_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 LAUNCHER_RANK = ("PMI_RANK", "OMPI_COMM_WORLD_RANK", "PMIX_RANK", "MV2_COMM_WORLD_RANK", "SLURM_PROCID")
+ADVICE = (
+    f"Use the mpirun that stands beside this Python ({os.path.join(os.path.dirname(sys.executable), 'mpirun')}), or build "
+    "mpi4py against the launcher's MPI."
+)
 MESSAGE = 1 << 30  # bytes: MPI counts them in 32 bits
 
 
@@ -221,16 +225,39 @@ def launched(names):
     return next((int(os.environ[name]) for name in names if os.environ.get(name, "").isdigit()), None)
 
 
+def begun_mpi(size):
+    """mpi4py's MPI. An MPICH without PMIx that Open MPI's launcher has started would end the process in MPI_Init with an abort
+    of its own: LaunchError before."""
+    import mpi4py
+
+    by_open_mpi = "OMPI_COMM_WORLD_SIZE" in os.environ and "PMI_SIZE" not in os.environ
+    if not by_open_mpi or "mpi4py.MPI" in sys.modules:
+        from mpi4py import MPI
+
+        return MPI
+    mpi4py.rc.initialize, mpi4py.rc.finalize = False, True
+    from mpi4py import MPI
+
+    library = MPI.Get_library_version()
+    if "mpich" in library.lower() and "pmix" not in library.lower():
+        raise LaunchError(
+            f"the launcher that started {size} processes is Open MPI's, but mpi4py belongs to {MPI.get_vendor()[0]}. {ADVICE}"
+        )
+    MPI.Init_thread()
+    return MPI
+
+
 def from_launcher():
     """The world this process was launched into: `Alone` without a launcher (mpi4py is not imported), else `World`.
 
-    Raises LaunchError if MPI is missing or reports another number of processes than were launched.
+    Raises LaunchError if MPI is missing, or cannot be that of the launcher, or reports another number of processes than were
+    launched.
     """
     size = launched(LAUNCHER_SIZE)
     if size is None or size <= 1:
         return Alone()
     try:
-        from mpi4py import MPI
+        MPI = begun_mpi(size)  # noqa: N806
     except ImportError as error:
         raise LaunchError(
             f"{size} processes were launched but mpi4py cannot be loaded ({error}). Install it into this environment: "
@@ -239,8 +266,7 @@ def from_launcher():
     if MPI.COMM_WORLD.size != size:
         raise LaunchError(
             f"the launcher started {size} processes but MPI reports a world of {MPI.COMM_WORLD.size}: mpirun and mpi4py "
-            "belong to different MPI libraries. Use the mpirun that stands beside this Python "
-            f"({os.path.join(os.path.dirname(sys.executable), 'mpirun')}), or build mpi4py against the launcher's MPI."
+            f"belong to different MPI libraries. {ADVICE}"
         )
     return World(MPI.COMM_WORLD)
 

@@ -32,6 +32,7 @@ from pmpm.scene.values import (
 )
 
 SURFACES = ("stick", "slip", "separate", "friction")
+ROUNDING = 1e-9  # of a period
 MOST_SAMPLES, PIECE = 2_000_000, 1 << 16  # of a distance that takes long to find, and how many at a time
 SPIN = "angular velocity: a number in 2-D, a vector in 3-D, or a function of time (deg/s)"
 
@@ -243,10 +244,28 @@ class Collider(Part):
             return turn, self.path.displacement(time) - self.path.displacement(0.0)
         return turn, time * np.array((0.0,) * dim if self.velocity is None else self.velocity)
 
-    def center(self, size: tuple[float, ...]) -> np.ndarray:
+    def repeats(self, periods: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the periods (m) along which it comes in again at the other end: infinite where it is longer than the domain,
+        for then it would meet itself."""
+        low, high = self.bounds(len(periods))
+        fits = np.isfinite(high - low) & (high - low <= (1.0 + ROUNDING) * np.array(periods))
+        return tuple(float(period) if one else math.inf for period, one in zip(periods, fits, strict=True))
+
+    def nearest(self, points: np.ndarray, periods: tuple[float, ...]) -> np.ndarray:
+        """Return the images of points (n, dim), m, that are nearest to it at the start, in a domain of these periods (m)."""
+        repeats, (low, high) = self.repeats(periods), self.bounds(len(periods))
+        if not np.isfinite(repeats).any():
+            return points
+        columns = [nearest_image(x, *ends) for x, *ends in zip(points.T, low, high, repeats, strict=True)]
+        return np.stack(columns, axis=1)
+
+    def center(self, size: tuple[float, ...], periods: tuple[float, ...]) -> np.ndarray:
         """Return the point (dim,) m that it turns about: its pivot, or the middle of what lies in a domain of this size."""
+        if self.pivot is not None:
+            return np.array(self.pivot)
         low, high = self.bounds(len(size))
-        return 0.5 * (np.maximum(low, 0.0) + np.minimum(high, size)) if self.pivot is None else np.array(self.pivot)
+        whole = np.isfinite(self.repeats(periods))
+        return 0.5 * (np.where(whole, low, np.maximum(low, 0.0)) + np.where(whole, high, np.minimum(high, size)))
 
     @field_serializer("velocity", "angular_velocity", "distance")
     def recorded_function(self, value: Any) -> Any:
@@ -263,13 +282,18 @@ def spin_at(spin: Any, time: float, dim: int) -> np.ndarray:
     return math.pi / 180.0 * found
 
 
-def cut_out(colliders: tuple[Collider, ...], points: np.ndarray) -> np.ndarray:
+def nearest_image(x: np.ndarray, low: float, high: float, period: float) -> np.ndarray:
+    """Move coordinates (n,), m, by whole periods to where they are nearest to the middle of low .. high; none if endless."""
+    return x - period * np.round((x - 0.5 * (low + high)) / period) if math.isfinite(period) else x
+
+
+def cut_out(colliders: tuple[Collider, ...], periods: tuple[float, ...], points: np.ndarray) -> np.ndarray:
     """Say which points (n, dim), m, lie inside colliders that bodies are cut by, at the start: bool (n,)."""
     inside = np.zeros(len(points), bool)
     for collider in colliders:
         if collider.cut:
-            shape = collider.shape
-            inside |= collider.signed_distance(points, 0.0) < 0.0 if shape is None else shape.contains(points)
+            shape, near = collider.shape, collider.nearest(points, periods)
+            inside |= collider.signed_distance(near, 0.0) < 0.0 if shape is None else shape.contains(near)
     return inside
 
 

@@ -26,7 +26,8 @@ def scene_schema() -> dict[str, Any]:
 
 
 def name_kinds(told: Any, parts: dict[str, Any]) -> Any:
-    """Say beside each choice of tables which words tell them apart: a wrong word is then called wrong, not all of its table."""
+    """Say of each choice of tables which word tells them apart, and what follows from it: a wrong word or key
+    is then called wrong, in place of all of its table."""
     if isinstance(told, list):
         return [name_kinds(inner, parts) for inner in told]
     if not isinstance(told, dict):
@@ -34,9 +35,22 @@ def name_kinds(told: Any, parts: dict[str, Any]) -> Any:
     told = {word: name_kinds(value, parts) for word, value in told.items()}
     tables = [parts.get(choice.get("$ref", "").rpartition("/")[2], {}) for choice in told.get("oneOf", ())]
     words = [{k: v["const"] for k, v in table.get("properties", {}).items() if "const" in v} for table in tables]
-    for key in sorted(set.intersection(*map(set, words))) if words else ():
+    for key in sorted(set.intersection(*map(set, words)))[:1] if words else ():
+        # Of if and then editors of TOML know no keys to propose: these they take from the choice, which refuses nothing.
+        choices = told.pop("oneOf")
+        told["anyOf"] = [*choices, {"type": "object"}]
         told |= {"type": "object", "properties": {key: {"enum": [word[key] for word in words]}}, "required": [key]}
+        told |= chain(key, [(word[key], choice) for word, choice in zip(words, choices, strict=True)])
     return told
+
+
+def chain(key: str, choices: list[tuple[str, Any]]) -> dict[str, Any]:
+    """If the key is the first word, then the first table, else the same of the others."""
+    if not choices:
+        return {}
+    (word, table), *others = choices
+    is_word = {"properties": {key: {"const": word}}, "required": [key]}
+    return {"if": is_word, "then": table} | ({"else": chain(key, others)} if others else {})
 
 
 def tidy(told: dict[str, Any]) -> dict[str, Any]:

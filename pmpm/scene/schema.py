@@ -48,7 +48,7 @@ PLACES_OF_INFLOW = 2000  # that are asked whether they lie in a collider
 FLIP_BLEND = 0.99
 ENERGY_GAIN = 0.3
 SNAPSHOTS, DIAGNOSTICS = 50, 200
-WATCHED = ("probes", "gauges", "maps")  # of the output, absent where there are none
+UNASKED = ("checkpoint_at_end", "probes", "gauges", "maps")  # of the output, absent where they are not asked for
 WALL_INTERVAL = 1800.0
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
 ROUNDING = 1e-9
@@ -115,6 +115,12 @@ class Domain(Part):
     def cells(self) -> tuple[int, ...]:
         """Number of cells along each axis."""
         return tuple(round(length / self.cell_size) for length in self.size)
+
+    @property
+    def periods(self) -> tuple[float, ...]:
+        """After how far the domain repeats along each axis, m; infinite where it does not."""
+        lengths = zip(AXES, self.size, strict=False)
+        return tuple(length if axis in self.periodic else math.inf for axis, length in lengths)
 
     def wall(self, face: str) -> Wall:
         """Return the wall at a face such as `x_min`; KeyError on a periodic axis, which has none."""
@@ -302,6 +308,9 @@ class Output(Part):
     checkpoint_keep: Annotated[int, whole(1, 1_000_000)] = Field(
         default=2, description="how many checkpoints are kept; older ones are deleted"
     )
+    checkpoint_at_end: Annotated[bool, flag()] = Field(
+        default=False, description="whether a finished run leaves a checkpoint, from which a later end continues it"
+    )
     probes: Annotated[tuple[watched.Probe, ...], tables("probe", least=0)] = Field(
         default=(), description="one table [[output.probes]] for each point at which material is watched"
     )
@@ -315,7 +324,7 @@ class Output(Part):
     @model_serializer(mode="wrap")
     def without_what_is_not_asked_for(self, dump: Any) -> Any:
         """As it stands in a file: a run that nobody watches so has the scene file that it always had."""
-        return {key: value for key, value in dump(self).items() if key not in WATCHED or value}
+        return {key: value for key, value in dump(self).items() if key not in UNASKED or value}
 
 
 class Guard(Part):
@@ -613,7 +622,8 @@ class Scene(Part):
             places = low + (high - low) * spread_places(PLACES_OF_INFLOW, self.dim)
             places = places[inflow.shape.contains(places)]
             for collider in named(self.colliders):
-                part = float(np.mean(collider.signed_distance(places, 0.0) < 0.0)) if len(places) else 0.0
+                near = collider.nearest(places, self.domain.periods)
+                part = float(np.mean(collider.signed_distance(near, 0.0) < 0.0)) if len(places) else 0.0
                 if part > 0.0:
                     yield Problem(
                         ("inflows", index, "shape"), f"lies in the collider {collider.name}, {part:.2g} of it"

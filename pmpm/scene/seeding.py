@@ -151,7 +151,7 @@ def spread_places(count, dim):
     return np.modf(np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, dim + 1.0))[0]
 
 
-def cut_places(bodies, colliders, cells, per_axis, cell_size, number):
+def cut_places(bodies, hole, cells, per_axis, cell_size, number):
     """((n, count, dim) places in cells, (n, count) shares of whole particles) of body `number` in cells (n, dim): each is cut
     into per_axis^dim parts, each a particle. A part of which all corners and the middle lie inside, and to which no surface
     of a mesh comes near, is whole; of others TRIED places are asked: how many lie inside is the share, and the middle of those
@@ -160,7 +160,7 @@ def cut_places(bodies, colliders, cells, per_axis, cell_size, number):
     What a particle is depends on its cell and the body alone. The places are those of a sequence that fills the part evenly,
     shifted by random numbers of the part, so that of a flat face not all parts are wrong by the same.
     """
-    dim, inside = cells.shape[1], partial(lies_in, bodies, colliders)
+    dim, inside = cells.shape[1], partial(lies_in, bodies, hole)
     corners = np.stack(np.meshgrid(*[np.arange(per_axis + 1) / per_axis] * dim, indexing="ij"), -1)
     middles = lattice(per_axis**dim, dim)
     probes = np.concatenate([corners.reshape(-1, dim), middles])
@@ -321,7 +321,7 @@ def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer
     share = None
     if body.seeding == "quadrature":
         per_axis = round(count ** (1 / geometry.dim))
-        places, share = cut_places(bodies, scene.colliders, cells, per_axis, geometry.cell_size, number)
+        places, share = cut_places(bodies, hole_of(scene), cells, per_axis, geometry.cell_size, number)
     else:
         places = places_in_cells(body, number, cells)
     cell_number = np.ravel_multi_index(tuple(cells.T), geometry.cells).astype(np.int64)
@@ -336,19 +336,24 @@ def seed_cells(scene, geometry, number, cells, first_id, first_layer, last_layer
     here = np.flatnonzero((layer >= first_layer) & (layer < last_layer))
     if share is None:
         x = (cells[:, None, :] + places).reshape(-1, geometry.dim)[here] * geometry.cell_size
-        here = here[lies_in(bodies, scene.colliders, x)]
+        here = here[lies_in(bodies, hole_of(scene), x)]
         return Seeds(node[here].astype(np.int32), offset[here], ids[here])
     here = here[share.reshape(-1)[here] > 0.0]
     return Seeds(node[here].astype(np.int32), offset[here], ids[here], share.reshape(-1)[here])
 
 
-def lies_in(bodies, colliders, x):
-    """(n,) whether places x (n, dim) in m lie in the first body and in none of the others, nor in what cuts bodies."""
+def hole_of(scene):
+    """What says which places x (n, dim) in m colliders cut out of bodies; None where there are none."""
+    return partial(cut_out, scene.colliders, scene.domain.periods) if scene.colliders else None
+
+
+def lies_in(bodies, hole, x):
+    """(n,) whether places x (n, dim) in m lie in the first body and in none of the others, nor in the hole (see `hole_of`)."""
     found = bodies[0].shape.contains(x)
     for later in bodies[1:]:
         found &= ~later.shape.contains(x)
-    if colliders:
-        found &= ~cut_out(colliders, x)
+    if hole is not None:
+        found &= ~hole(x)
     return found
 
 
@@ -373,7 +378,7 @@ def places_of(scene, ids):
             bodies = [own, *meeting_later_bodies(scene, number, surroundings(scene))]
             per_axis = round(own.particles_per_cell ** (1 / scene.dim))
             cut, back = np.unique(cell[rows], axis=0, return_inverse=True)
-            places, _ = cut_places(bodies, scene.colliders, cut, per_axis, scene.domain.cell_size, number)
+            places, _ = cut_places(bodies, hole_of(scene), cut, per_axis, scene.domain.cell_size, number)
             place[rows] = places[back.reshape(-1), which[rows]]
         else:
             place[rows] = places_in_cells(own, number, cell[rows])[np.arange(len(rows)), which[rows]]

@@ -12,7 +12,18 @@ from pydantic import Field, model_validator
 from pmpm.scene.messages import Problem, Problems
 from pmpm.scene.outside import OutsideFile, check_path, checksum
 from pmpm.scene.surfaces import measures
-from pmpm.scene.values import check_number, checked, choice, either, number, number_told, text, vector
+from pmpm.scene.values import (
+    check_number,
+    check_numbers,
+    checked,
+    choice,
+    either,
+    number,
+    number_told,
+    plain,
+    text,
+    vector_told,
+)
 
 KINDS = (".npy", ".npz", ".asc", ".tif", ".tiff")
 LEAST_COVERED = 1e-3  # of the domain, along an axis: less is a map in other units
@@ -71,6 +82,7 @@ def depth_of(value: Any) -> Any:
 
 
 LENGTH = number_told("m", above=0.0)
+PLACE = either(number_told("m"), vector_told("m") | {"minItems": 1})
 SPACING = either(LENGTH, {"type": "array", "items": LENGTH, "minItems": 1, "maxItems": 2})
 
 
@@ -82,10 +94,10 @@ class Terrain(OutsideFile):
         default=None,
         description="between samples: one number, or one along x and one along y; .asc and .tif tell it (m)",
     )
-    origin: Annotated[tuple[float, ...] | None, vector("m")] = Field(
+    origin: Annotated[tuple[float, ...] | None, checked(lambda value: place(value), PLACE)] = Field(
         default=None,
         description="where in the domain the map's corner of least x and y lies, and with a last number what is added to "
-        "heights; zeros if not given (m)",
+        "heights; of a profile along x one number, or two; zeros if not given (m)",
     )
     first_row: Annotated[str | None, choice(("south", "north"))] = Field(
         default=None,
@@ -231,6 +243,12 @@ class Terrain(OutsideFile):
         if self.dim == dim:
             return []
         return [Problem(("file",), f"is a map of {self.dim - 1} axes, for {self.dim} dimensions, not {dim}", self.file)]
+
+
+def place(value: Any) -> tuple[float, ...]:
+    """Accept one number, or a list of one to three."""
+    value = plain(value)
+    return check_numbers("m", 1)(value) if isinstance(value, list | tuple) else (check_number("m")(value),)
 
 
 def lengths(value: Any) -> tuple[float, ...]:

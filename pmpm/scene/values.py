@@ -104,12 +104,19 @@ def check_number(unit: str, only: float | None = None, **bounds: float | None) -
 
 
 def check_vector(unit: str, **bounds: float | None) -> Check:
+    return check_numbers(unit, 2, **bounds)
+
+
+def check_numbers(unit: str, least: int, **bounds: float | None) -> Check:
+    """Return a check of a list of `least` to three numbers."""
     check_one = check_number(unit, None, **bounds)
+    lengths = ("one", "two", "three")[least - 1 :]
+    how_many = f"{', '.join(lengths[:-1])} or {lengths[-1]}"
 
     def check(value: Any) -> Any:
         value = plain(value)
-        if not isinstance(value, list | tuple) or len(value) not in (2, 3):
-            raise Problems(Problem((), f"must be a list of two or three numbers{range_text(unit, **bounds)}", value))
+        if not isinstance(value, list | tuple) or not least <= len(value) <= 3:
+            raise Problems(Problem((), f"must be a list of {how_many} numbers{range_text(unit, **bounds)}", value))
         numbers, problems = [], []
         for index, item in enumerate(value):
             try:

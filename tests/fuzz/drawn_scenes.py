@@ -437,6 +437,7 @@ def output(draw, materials, h, cells, periodic, gravity):
         "checkpoint_interval": draw(maybe(st.sampled_from((h * 1e-2, h)))),
         "checkpoint_wall_interval": draw(maybe(st.sampled_from((0, 60)))),
         "checkpoint_keep": draw(maybe(st.integers(1, 3))),
+        "checkpoint_at_end": draw(maybe(st.booleans())),
     }
 
 

@@ -242,3 +242,51 @@ def test_kinks_of_a_path_add_up_to_no_drift():
     s = simulation(RUBBER, [box([0.1, 0.1], [0.2, 0.2])], [collider, plane([0.0, 0.1], [0.0, 1.0])])
     s.run(until=0.3)
     assert s.drive.obstacles[0].shift == pytest.approx(s.scene.colliders[0].path.displacement(s.time), abs=1e-12)
+
+
+def round_a_ring(start, **motion):
+    """A ball that goes through rubber in a ring of a metre, begun with its middle at x = start."""
+    shape = {"type": "sphere", "center": [start, 0.25], "radius": 0.15}
+    scene = pmpm.Scene(
+        domain={"size": [1.0, 0.5], "cell_size": 0.0625, "periodic": ["x"]},
+        time={"end": 0.2, "step": 2.0**-10},
+        materials={"a": RUBBER},
+        bodies=[{"material": "a", "shape": box([0.0, 0.0], [1.0, 0.5])}],
+        colliders=[{"shape": shape, "surface": "stick"} | motion],
+    )
+    return pmpm.Simulation(scene)
+
+
+@pytest.mark.parametrize("start", [0.8125, 1.0, 3.0625])  # beside the end, across it, far beyond
+def test_a_collider_that_leaves_a_periodic_axis_comes_in_at_the_other_end(start):
+    motion = {"velocity": [2.0, 0.0], "angular_velocity": 400.0}
+    there, here = round_a_ring(start, **motion), round_a_ring(0.3125, **motion)
+    assert there.rows() == here.rows() < 64 * 8 * 4  # cut out across the end
+    found = []
+    for s, way in ((there, start - 0.3125), (here, 0.0)):
+        places = (s.particles.x[np.argsort(s.particles.id)] - [way, 0.0]) % 1.0
+        order = np.lexsort(np.round(places, 9).T)
+        s.run()
+        found.append((s.particles.x[np.argsort(s.particles.id)] - [way, 0.0])[order])
+    x = found[0] - found[1]
+    x[:, 0] -= np.round(x[:, 0])
+    assert np.abs(x).max() < 1e-12
+    (force, torque), (same, turning) = (s.impulses()["collider_0"] for s in (there, here))
+    assert force == pytest.approx(same, rel=1e-9)
+    assert torque == pytest.approx(turning, rel=1e-9)
+    assert np.abs(same).max() > 1.0
+
+
+def test_what_is_longer_than_a_periodic_axis_does_not_meet_itself():
+    """Nor does what is as long as the domain, whose ends meet."""
+    scene, found = round_a_ring(0.3).scene, []
+    floors = [
+        plane([0.0, 0.1], [0.0, 1.0]),
+        *({"shape": box([low, -0.2], [high, 0.1])} for low, high in ((0.0, 1.0), (-0.3, 1.2))),
+    ]
+    for floor in floors:
+        changed = {"colliders": [floor | {"velocity": [0.0, 0.1], "cut": False}]}
+        s = pmpm.Simulation(pmpm.Scene.from_text(scene.to_toml(), "", changed))
+        s.run(steps=1)
+        found.append(s.drive.obstacles[0].find_contact().numbers.tolist())
+    assert found[0] == found[1] == found[2] != []

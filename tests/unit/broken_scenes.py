@@ -667,6 +667,11 @@ BROKEN = [
         ["output.checkpoint_keep = 0 must be a whole number from 1 to 1000000"],
     ),
     (
+        "a checkpoint at the end of what",
+        change(SNAPSHOT, 'checkpoint_at_end = "run"'),
+        ['output.checkpoint_at_end = "run" must be true or false'],
+    ),
+    (
         "displacement of particles that carry no reference",
         change(SNAPSHOT, 'fields = ["displacement"]'),
         ['output.fields[0] = "displacement" is known only where particles carry their reference position'],

@@ -88,6 +88,60 @@ def test_the_number_of_particles_is_estimated_to_two_percent(shapes):
     np.testing.assert_allclose(estimate.particles(made), counted, rtol=0.02)
 
 
+def half_way(X):
+    return np.stack([0.0 * X[:, 0] + 0.4, 0.0 * X[:, 1]], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("body", "collider", "caught"),
+    [
+        ({"shape": BOX}, {"shape": DISK}, None),  # cut out
+        (
+            {"shape": BOX},
+            {"shape": {"type": "plane", "point": [0.0, 0.1], "normal": [0.0, 1.0]}, "cut": False},
+            None,
+        ),  # touches
+        ({"shape": BOX}, {"shape": {"type": "plane", "point": [0.3, 0.0], "normal": [1.0, 0.0]}, "cut": False}, 0.25),
+        ({"shape": BOX}, {"shape": {"type": "sphere", "center": [1.0, 0.4], "radius": 0.2}, "cut": False}, 0.0512),
+        (
+            {"shape": BOX, "displacement": half_way},
+            {"shape": {"type": "box", "min": [0.9, 0.0], "max": [2.0, 1.0]}},
+            0.5,
+        ),
+        ({"shape": "points"}, {"shape": {"type": "box", "min": [0.0, 0.0], "max": [0.25, 1.0]}}, 0.2),
+    ],
+)
+def test_a_body_of_which_a_part_is_caught_in_a_collider_is_told(body, collider, caught, tmp_path, capsys):
+    if body["shape"] == "points":
+        x = np.stack([np.linspace(0.1, 0.9, 100), np.full(100, 0.5)], axis=1)
+        np.savetxt(tmp_path / "points.csv", x, delimiter=",", header="x,y", comments="")
+        body = {"shape": {"type": "particles", "file": str(tmp_path / "points.csv")}}
+    made = pmpm.Scene(
+        domain={"size": [2.0, 1.0], "cell_size": 0.05},
+        time={"end": 0.01},
+        materials={"water": WATER},
+        bodies=[body | {"material": "water"}],
+        colliders=[collider],
+    )
+    lines, notes = explain.explain(made, 1).splitlines(), pmpm.Simulation(made).notes
+    told = [line for line in lines if "lies inside of the collider" in line]
+    assert [f"warning: {line[14:]}" for line in told] == [note for note in notes if "collider" in note]
+    if caught is None:
+        assert told == []
+    else:
+        (line,) = told
+        assert "bodies[0]: about " in line
+        assert "collider_0" in line
+        assert float(line.split()[3]) == pytest.approx(caught, rel=0.1)
+        assert ("cut = true would cut it out" in line) == (collider.get("cut") is False)
+
+
+def test_where_colliders_cut_nothing_is_tried(monkeypatch):
+    monkeypatch.setattr(estimate, "places_in", None)
+    made = scene(BOX, colliders=[{"shape": DISK}])
+    assert estimate.caught(made) == estimate.caught(scene(BOX)) == []
+
+
 @pytest.mark.parametrize("periodic", [(), ("x",), ("y",)])
 def test_places_are_tried_in_pieces_with_the_same_particles_in_the_same_order(periodic, monkeypatch):
     made = scene(BOX, DISK, periodic=periodic, per_cell=5)

@@ -110,6 +110,36 @@ def test_a_wrong_word_is_called_wrong_by_itself():
     assert any(message.startswith("'flude' is not one of ['neo_hookean', ") for message in said)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("density = 2650.0", "densty = 2650.0", ["'densty' was unexpected", "'density' is a required property"]),
+        ("youngs_modulus = 8.4e5", "youngs_modulus = -1.0", ["-1.0 is less than or equal to the minimum of 0"]),
+        ("max = [0.1, 0.1]", "maxx = [0.1, 0.1]", ["'maxx' was unexpected", "'max' is a required property"]),
+        (
+            '{ type = "sphere", center',
+            '{ type = "union", of = [{ type = "box", min = [0.0, 0.0] }], center',
+            ["('center', 'radius' were unexpected)", "'max' is a required property"],
+        ),
+    ],
+)
+def test_a_wrong_key_of_a_material_or_a_shape_is_called_wrong_by_itself(old, new, words):
+    said = [error.message for error in VALIDATOR.iter_errors(tomllib.loads(change(old, new)))]
+    assert len(said) == len(words)  # and nothing of tables that fit none of those there are
+    assert all(any(word in text for text in said) for word in words)
+
+
+def test_editors_find_all_tables_in_the_choices():
+    """They propose the keys of what stands in anyOf, and know nothing of if and then."""
+    for told, parts in (
+        (SCHEMA["properties"]["materials"]["additionalProperties"], list(LAWS)),
+        (SCHEMA["$defs"]["Body"]["properties"]["shape"], ["Box", "Sphere"]),
+    ):
+        offered = [choice.get("$ref", "").rpartition("/")[2] for choice in told["anyOf"]]
+        assert set(parts) <= set(offered)
+        assert "oneOf" not in told
+
+
 def test_functions_are_known_as_keys_of_python_alone():
     assert SCHEMA["properties"]["body_force"]["x-python"]
     assert refused('body_force = "python:b:0"\n' + GOOD)

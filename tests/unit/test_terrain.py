@@ -44,6 +44,30 @@ def test_a_profile_is_the_ground_of_a_flat_scene(tmp_path):
     assert ground.signed_distance(np.array([[1.0, 0.5], [3.0, 1.5]])) == pytest.approx([0.0, 1.0 / np.sqrt(1.25)])
 
 
+@pytest.mark.parametrize(("origin", "up"), [(5.0, 0.0), ([5.0], 0.0), ([5.0, 0.25], 0.25)])
+def test_the_origin_of_a_profile_is_a_number_or_two(origin, up, tmp_path):
+    ground = terrain(tmp_path, np.array([0.0, 1.0, 0.0]), origin=origin)
+    assert ground.corner().tolist() == [5.0, up]
+    assert ground.above(np.array([[6.0, 1.0]]))[0] == pytest.approx([0.5 - up])
+    assert Terrain.model_validate(ground.model_dump()) == ground
+
+
+@pytest.mark.parametrize(
+    ("origin", "words"),
+    [
+        ([5.0], "origin = [5.0] must have 2 or 3 numbers for a map of 2 axes"),
+        (5.0, "origin = [5.0] must have 2 or 3 numbers"),
+        ([], "must be a list of one, two or three numbers"),
+        ([0.0] * 4, "must be a list of one, two or three numbers"),
+        ("west", "must be a number"),
+    ],
+)
+def test_an_origin_that_does_not_fit_the_map_is_refused(origin, words, tmp_path):
+    with pytest.raises(SceneError) as raised:
+        terrain(tmp_path, origin=origin)
+    assert words in str(raised.value)
+
+
 def test_a_layer_lies_on_the_ground(tmp_path):
     layer = terrain(tmp_path, depth=0.5)
     below, inside, above = layer.contains(np.array([[2.0, 2.0, z] for z in (2.4, 2.9, 3.1)]))
