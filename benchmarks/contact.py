@@ -23,7 +23,8 @@ ABOUT = """# Contact: how well bodies slide and roll
 
 `{command}` wrote this page. A block of 0.4 m slides down a base whose surface stands at an angle to the grid, with
 friction {friction}, for {end} s. From its way follows the friction that it has had, as of a rigid block: way = g t^2
-(sin(a) - friction cos(a)) / 2 at an angle a. Its middle also leaves the line along the slope, by what the surfaces sink into each other or
+(sin(a) - friction cos(a)) / 2 at an angle a. Its middle also leaves the line
+along the slope, by what the surfaces sink into each other or
 stand apart: in cells, at the worst of four times. At 0 degrees the axes lie along the slope, and gravity is turned by
 30 degrees. At 10 degrees it should stay, which takes a friction of 0.176.
 

@@ -52,6 +52,20 @@ def test_every_law_and_scheme_goes_on_bit_for_bit(row, tmp_path):
     assert bits_of(resumed) == bits_of(through)
 
 
+@pytest.mark.parametrize("friction", [0.4, 0.1])
+def test_contact_goes_on_bit_for_bit_and_may_take_another_friction(friction, tmp_path):
+    scene, read = (several_laws.flat(contact={"friction": told}) for told in (0.4, friction))
+    through, resumed = interrupted(scene, tmp_path / "a.hdf", read=read)
+    assert (bits_of(resumed) == bits_of(through)) == (friction == 0.4)
+
+
+@pytest.mark.parametrize(("before", "after"), [({}, None), (None, {}), ({}, {"together": [["water", "rubber"]]})])
+def test_what_is_bonded_cannot_change_at_a_restart(before, after, tmp_path):
+    Simulation(several_laws.flat(contact=before)).save(tmp_path / "a.hdf")
+    with pytest.raises(SceneError, match="contact"):
+        Simulation.restart(tmp_path / "a.hdf", several_laws.flat(contact=after))
+
+
 @pytest.mark.parametrize("name", ["flat", "deep", "tall"])
 @pytest.mark.parametrize("before", [1, 2, 9, 60])
 def test_a_restart_at_any_step_meets_the_next_regroups_and_counts_as_the_run_would(name, before, tmp_path):
