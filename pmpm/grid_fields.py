@@ -4,7 +4,7 @@ A node holds the mean over the particles around it, by their mass and the spline
 in the one global order; a rank goes on with the sums of the rank before it: the same bits on any number of ranks.
 
       left rank: layers .. c-2 c-1 | c c+1 c+2 .. right rank
-      told by the left one   c-RL .......... c-1+RH           (planes, with what its layers add: its last ones alone reach there)
+      told by the left one   c-RL .......... c-1+RH           (planes with what its layers add: its last ones alone do)
 """
 
 from dataclasses import dataclass
@@ -106,8 +106,8 @@ def node_volumes(simulation, planes):
 
 
 def numbered(simulation, axis, nodes):
-    """Numbers of nodes along an axis that is not that of a periodic slab: those beyond a wall as their images within, those that
-    repeat as the first; -1 for what is beyond an open or free end."""
+    """Numbers of nodes along an axis: those beyond a wall as their images within, those that repeat as the first; -1 for what
+    is beyond an open or free end."""
     cells = simulation.geometry.cells[axis]
     if simulation.geometry.periodic[axis]:
         return nodes % cells
@@ -118,7 +118,7 @@ def numbered(simulation, axis, nodes):
 
 
 def owned(simulation):
-    """(first, last + 1) of the planes of which this rank has the sums in the end: those that its layers are the last to reach."""
+    """(first, last + 1) of the planes whose sums this rank has in the end: those that its layers are the last to reach."""
     stencil, slabs, rank = simulation.needs.stencil, simulation.slabs, simulation.comm.rank
     first, last = slabs.owned(rank)
     planes = node_counts(simulation.geometry)[simulation.geometry.axes[0]]

@@ -56,8 +56,7 @@ class GridWriter:
 def node_counts(scene):
     """Nodes of each axis; those at both ends of a periodic axis are one."""
     return tuple(
-        cells + (axis not in scene.domain.periodic)
-        for axis, cells in zip("xyz"[: scene.dim], scene.cells, strict=True)
+        cells + (axis not in scene.domain.periodic) for axis, cells in zip("xyz"[: scene.dim], scene.cells, strict=True)
     )
 
 
@@ -107,7 +106,7 @@ def rewrite_index(directory, title):
 
 
 def index_entry(name, time, nodes, cell_size, shapes):
-    """XDMF text of the fields at one time: a uniform grid in space, of one plane in 2-D, for VTK turns grids of two axes round."""
+    """XDMF text of the fields at one time: a uniform grid in space, in 2-D of one plane: VTK turns grids of two axes round."""
     flat = (1,) * (3 - len(nodes))
     dimensions = " ".join(map(str, (*flat, *reversed(nodes))))
     size = repr(float(cell_size))

@@ -485,10 +485,8 @@ def describe_grid(grid):
         "fields",
     ]
     with reading_grid(grid.path) as (file, _):
-        fields = [
-            f"  {name:<20} {item.dtype}{' x ' + str(item.shape[-1]) if item.ndim > told['dim'] else ''}"
-            for name, item in sorted(file["VTKHDF/PointData"].items())
-        ]
+        dim, held = told["dim"], sorted(file["VTKHDF/PointData"].items())
+        fields = [f"  {name:<20} {kind_of(item, dim)}" for name, item in held]
     return "\n".join([*lines, *fields])
 
 
@@ -538,8 +536,8 @@ def describe_snapshot(snapshot):
     return "\n".join(lines)
 
 
-def kind_of(dataset):
-    columns = math.prod(dataset.shape[1:])
+def kind_of(dataset, axes=1):
+    columns = math.prod(dataset.shape[axes:])
     unit = plain_attribute(dataset.attrs["unit"]) if "unit" in dataset.attrs else "-"
     return f"{dataset.dtype.name} {f'x {columns}' if columns > 1 else '':<4} {unit}"
 
