@@ -188,7 +188,7 @@ def vtk_file(path):
 
 
 def differences(image, grid, names):
-    """Names of the fields of which VTK has something else at the places of the nodes: all by their number, some by their place."""
+    """Names of the fields of which VTK has something else: all nodes by their number, some by their place."""
     support = pytest.importorskip("vtk.util.numpy_support")
     dim, found = len(grid.x), []
     for name in names:
