@@ -12,13 +12,14 @@ import numpy as np
 
 from pmpm import timestep
 from pmpm.physics import stability
+from pmpm.physics.materials import law_of
 from pmpm.scene import start
 from pmpm.scene.errors import SceneError
 from pmpm.scene.forcing import velocity_at
 from pmpm.scene.functions import Unfit
 from pmpm.scene.seeding import hole_of, lies_in, meeting_later_bodies, spread_places, surroundings
 from pmpm.state.derived import PARAMETERS
-from pmpm.state.fields import Layout
+from pmpm.state.fields import OUTPUT, Field, Layout
 from pmpm.state.grid import SLACK
 
 SAMPLES, FEWEST_SAMPLES, ALL_SAMPLES = 4096, 32, 1 << 19  # places tried in a body, and in all of them together
@@ -34,6 +35,7 @@ LAYER_BYTES, ROW_BYTES = 160, 40  # of a layer and of a row of the grid besides 
 # with an eighth to spare.
 CARD_SPARE, KEYS_ON_CARD, FIELDS_ON_CARD = 17 / 16, 29, 4.5
 SPREAD = 2.0  # as many nodes as a compact block reaches: material spreads, and has more surface
+OUTPUT_SIZE = {"scalar": 1, "vector": 3, "symmetric": 6, "tensor": 9}  # of fields in files, whatever the dimension
 MEMORY_LIMIT = "PMPM_MEMORY_LIMIT"
 CGROUPS = (  # limit and use of the memory of a container or a batch job
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
@@ -146,18 +148,19 @@ def bytes_per_particle(needs):
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes over all ranks: of the particles while they move, the same while they are being made, of the grid, and of the copy
-    that is kept for the case that the run goes wrong."""
+    """Bytes over all ranks: of the particles while they move, the same while they are being made, of the grid, of the copy that
+    is kept for the case that the run goes wrong, and of fields on nodes while they are written."""
 
     particles: float
     filling: float
     grid: float
     copy: float
+    fields: float = 0.0
 
     @property
     def most(self):
         """What there is at once: at the start, or later."""
-        return max(self.filling, self.particles + self.copy) + self.grid
+        return max(self.filling, self.particles + self.copy + self.fields) + self.grid
 
 
 def memory(scene, needs, geometry, counts):
@@ -172,7 +175,32 @@ def memory(scene, needs, geometry, counts):
     held = float(counts @ of_source)
     cells = sum(count / source.particles_per_cell for count, source in zip(counts, scene.sources, strict=True))
     grid = grid_bytes(needs, geometry, float(cells))
-    return Memory(held, float(counts @ filling), grid, held if scene.guard.keep_copy else 0.0)
+    copy = held if scene.guard.keep_copy else 0.0
+    return Memory(held, float(counts @ filling), grid, copy, grid_fields(scene).memory)
+
+
+@dataclass(frozen=True)
+class GridFields:
+    """Fields on nodes: how many nodes each axis has, bytes of a file of them, and of memory on all ranks together."""
+
+    nodes: tuple[int, ...]
+    file: float
+    memory: float
+
+
+def grid_fields(scene):
+    """What the fields on nodes of a scene take: sums in float64, of each field and of the mass that has it, and twice what goes
+    into the file, for the order of its rows."""
+    axes = zip("xyz"[: scene.dim], scene.cells, strict=True)
+    nodes = tuple(cells + (axis not in scene.domain.periodic) for axis, cells in axes)
+    sizes = {field.name: OUTPUT_SIZE[field.kind] for field in OUTPUT}
+    for material in scene.materials.values():
+        own = law_of(material.model).state_fields(material.parameters)
+        sizes |= {field.name: Field.of(field).size(scene.dim) for field in own if field.name not in sizes}
+    held = [sizes.get(name, 1) for name in scene.output.grid_fields]
+    file = math.prod(nodes) * np.dtype(scene.method.precision).itemsize * float(sum(held))
+    sums = math.prod(nodes) * 8.0 * (1 + sum(held) + len(held)) if held else 0.0
+    return GridFields(nodes, file, sums + 2.0 * file)
 
 
 def on_cards(needs, taken, particles):

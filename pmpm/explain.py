@@ -45,6 +45,7 @@ def explain(scene, ranks, backend="cpu"):
         *mesh_lines(scene),
         *(f"warning       {line}" for line in estimate.caught(scene)),
         *memory_lines(taken, ranks),
+        *grid_lines(scene),
         f"time step     {dt:.3g} s at the start{' (fixed)' if scene.time.step else f', cfl {scene.time.cfl:g}'}",
         f"cost          about {math.ceil(scene.time.end / dt)} steps, {'at most ' if streams else ''}"
         f"{math.ceil(scene.time.end / dt) * most:.3g} particle-steps",
@@ -100,12 +101,27 @@ def memory_lines(taken, ranks):
     lines = [f"memory        {text}"]
     if taken.copy:
         lines.append(f"              and {taken.copy / ranks / 1e6:.1f} MB of the copy that guard.keep_copy keeps")
+    if taken.fields:
+        lines.append(
+            f"              and {taken.fields / ranks / 1e6:.1f} MB of output.grid_fields while they are written"
+        )
     if taken.most > available:
         lines.append(
             f"              more than this machine has: {estimate.amount(taken.most)} on all ranks at the start, "
             f"{estimate.amount(available)} available"
         )
     return lines
+
+
+def grid_lines(scene):
+    """What the fields on nodes will take on the disk."""
+    if not scene.output.grid_fields:
+        return []
+    told = estimate.grid_fields(scene)
+    return [
+        f"grid fields   {', '.join(scene.output.grid_fields)} on {' x '.join(map(str, told.nodes))} nodes, "
+        f"{estimate.amount(told.file)} with each snapshot"
+    ]
 
 
 def refuse_fixed_step(scene, needs, tables):

@@ -6,7 +6,7 @@ from pmpm.output import checkpoints, run_directory
 from pmpm.output.diagnostics import Diagnostics
 from pmpm.output.files import OutputError, on_rank_zero
 from pmpm.output.progress import Progress
-from pmpm.output.run_directory import MAPS
+from pmpm.output.run_directory import GRID_INDEX, MAPS
 from pmpm.output.snapshots import SnapshotWriter, write_failed
 from pmpm.requests import Requests, reason
 from pmpm.simulation import Simulation
@@ -120,6 +120,27 @@ def maps_of(simulation, origin):
     return continued(simulation, simulation.scene.output.maps, origin and origin.path)
 
 
+def grids_of(simulation, directory, origin):
+    """The GridWriter of a scene that asks for fields on nodes, else None."""
+    output, first = simulation.scene.output, simulation.outputs.get("snapshots", 0)
+    if output.grid_fields:
+        from pmpm.grid_fields import of_nodes
+        from pmpm.output.grids import GridWriter
+
+        return GridWriter(directory, simulation.scene, of_nodes, first)
+    if origin:
+        drop_from_index(directory, simulation.scene.title)
+    return None
+
+
+def drop_from_index(directory, title):
+    """Leave out of the index of fields on nodes what a restart has cut off, where the scene asks for no more of them."""
+    if on_rank_zero(directory.comm, lambda: (directory.path / GRID_INDEX).exists()):
+        from pmpm.output.grids import rewrite_index
+
+        rewrite_index(directory, title)
+
+
 def write_maps(path, comm, arrays):
     from pmpm.maps import write
 
@@ -137,7 +158,8 @@ class Outputs:
         self.diagnostics = Diagnostics(directory, before.get("diagnostics", 0))
         # In another folder, where a run branches off, the first state is not a second one.
         at = before if origin and directory.path == origin.run else {}
-        self.last_snapshot = Once(self.snapshots, at.get("snapshot_step"))
+        self.grids = grids_of(simulation, directory, origin)
+        self.last_snapshot = Once(self.shown, at.get("snapshot_step"))
         self.series, self.maps = series_of(simulation, directory), maps_of(simulation, origin)
         self.last_diagnostics = Once(self.measured, at.get("diagnostics_step"))
         bad = [number for number, _ in origin.complaints] if origin else []
@@ -154,6 +176,12 @@ class Outputs:
         known = {name: step for name, step in steps.items() if step is not None}
         lines = self.series.counts() if self.series else {}
         return {"snapshots": self.snapshots.count, "diagnostics": self.diagnostics.count} | known | lines
+
+    def shown(self, simulation):
+        number = self.snapshots.count
+        if self.grids:  # first: what the snapshots' index lists is whole
+            self.grids(simulation, number)
+        self.snapshots(simulation)
 
     def measured(self, simulation):
         self.diagnostics(simulation)

@@ -22,10 +22,12 @@ from pmpm.output.run_directory import (
     CHECKPOINTS,
     DIAGNOSTICS,
     FAILED,
+    GRID_INDEX,
     MAPS,
     RECORD,
     SCENE,
     SERIES,
+    grid_files,
     read_record,
     read_status,
     series_files,
@@ -107,6 +109,12 @@ class Run:
         return Snapshots(snapshot_files(self.path))
 
     @property
+    def grids(self):
+        """The fields on nodes written so far, in order: a sequence of `GridFields`, of the same numbers as the snapshots that
+        they go with if the run had them from its start."""
+        return Snapshots(grid_files(self.path), GridFields)
+
+    @property
     def diagnostics(self):
         """{name: array over the lines of diagnostics.csv}; empty if there are none yet."""
         return read_diagnostics(self.path / DIAGNOSTICS)
@@ -142,16 +150,16 @@ class Run:
 class Snapshots(Sequence):
     """Snapshots in order; each is opened only when it is asked for something."""
 
-    def __init__(self, files):
-        self.files = files
+    def __init__(self, files, kind=None):
+        self.files, self.kind = files, kind or Snapshot
 
     def __len__(self):
         return len(self.files)
 
     def __getitem__(self, index):
         if isinstance(index, slice):
-            return Snapshots(self.files[index])
-        return Snapshot(self.files[index])
+            return Snapshots(self.files[index], self.kind)
+        return self.kind(self.files[index])
 
 
 class Snapshot:
@@ -224,6 +232,101 @@ class Snapshot:
 
     def __repr__(self):
         return f"Snapshot({str(self.path)!r})"
+
+
+class GridFields:
+    """Fields on the nodes of the grid at one time. They are attributes, read when asked for: `grid.pressure`, (nodes along x,
+    along y, ...)."""
+
+    def __init__(self, path):
+        self.path = Path(path)
+
+    @cached_property
+    def attributes(self):
+        """What the file says of itself: time (s), step, dim, nodes of each axis, cell_size (m)."""
+        with reading_grid(self.path) as (_, told):
+            return told
+
+    @property
+    def time(self):
+        """Simulated time in s."""
+        return self.attributes["time"]
+
+    @property
+    def step(self):
+        """Number of steps taken before it."""
+        return self.attributes["step"]
+
+    @property
+    def x(self):
+        """Of each axis where its nodes are, (nodes,) m."""
+        told = self.attributes
+        return tuple(np.arange(count) * told["cell_size"] for count in told["nodes"])
+
+    @cached_property
+    def fields(self):
+        """Names of the fields in the file."""
+        with reading_grid(self.path) as (file, _):
+            return sorted(file["VTKHDF/PointData"])
+
+    def __getattr__(self, name):
+        if name.startswith("_"):
+            raise AttributeError(name)
+        with reading_grid(self.path) as (file, told):
+            held, dim = file["VTKHDF/PointData"], told["dim"]
+            if name in held:
+                values = held[name][...]
+                values = values.transpose(*reversed(range(dim)), *range(dim, values.ndim))
+                return values[..., :dim] if name in OUTPUT_VECTORS else values
+            known = ", ".join(sorted(held))
+        raise AttributeError(f"{self.path} holds no {name!r} on nodes; it holds {known}")
+
+    def __repr__(self):
+        return f"GridFields({str(self.path)!r})"
+
+
+@contextlib.contextmanager
+def reading_grid(path):
+    """(open file of fields on nodes, what it says of itself); whatever does not fit, or cannot be read, raises OutputError."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            version = plain_attribute(file["pmpm"].attrs["format_version"])
+            if version != FORMAT_VERSION:
+                raise OutputError(f"{path} has grid format_version {version}; this pmpm reads {FORMAT_VERSION}")
+            told = {name: plain_attribute(value) for name, value in file["pmpm"].attrs.items()}
+            check_nodes(file, told)
+            yield file, told
+    except DAMAGES as error:
+        raise OutputError(damage(path, error)) from error
+
+
+def check_nodes(file, told):
+    """Raise ValueError unless a file of fields on nodes holds numbers for all of them."""
+    import h5py
+
+    for name, kind in {"time": float, "step": int, "dim": int, "cell_size": float, "nodes": list}.items():
+        if type(told.get(name)) is not kind:
+            raise ValueError(f"attribute {name} is {told.get(name)!r}")
+    nodes = told["nodes"]
+    if told["dim"] not in (2, 3) or len(nodes) != told["dim"] or not all(type(count) is int for count in nodes):
+        raise ValueError(f"attribute nodes is {nodes} in {told['dim']}-D")
+    for dataset in file["VTKHDF/PointData"].values():
+        numbers = isinstance(dataset, h5py.Dataset) and dataset.dtype.kind == "f"
+        if not numbers or dataset.shape[: len(nodes)] != tuple(reversed(nodes)):
+            raise ValueError(f"{dataset.name} holds no numbers of {' x '.join(map(str, nodes))} nodes")
+
+
+def is_grid(path):
+    """Whether a file is one of fields on nodes, as far as its head tells."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return "pmpm" in file and "nodes" in file["pmpm"].attrs
+    except DAMAGES:
+        return False
 
 
 def open_snapshot(path):
@@ -333,6 +436,8 @@ def read_diagnostics(path):
 def describe(path):
     """What a run directory or a snapshot file holds, as lines for a person. OutputError for anything else."""
     path = existing(path)
+    if path.is_file() and is_grid(path):
+        return describe_grid(GridFields(path))
     if path.is_file():
         return describe_snapshot(Snapshot(path))
     if read_record(path) is None:
@@ -357,6 +462,7 @@ def describe_run(run):
         first, last = snapshots[0], snapshots[-1]
         lines[-1] += f", t = {first.time:.6g} to {last.time:.6g} s; open {run.path / 'snapshots.xdmf'} in ParaView"
         lines += ["last snapshot", *("  " + line for line in describe_snapshot(last).splitlines())]
+    lines += grid_lines(run)
     lines += checkpoint_lines(run.path)
     if diagnostics:
         times = diagnostics.get("time", np.empty(0))
@@ -368,6 +474,28 @@ def describe_run(run):
     if maps := run.maps:
         lines.append(f"maps          {', '.join(name for name in maps if maps[name].ndim and name not in 'xyz')}")
     return "\n".join(lines)
+
+
+def grid_lines(run):
+    """What there is of fields on nodes."""
+    if not len(run.grids):
+        return []
+    named = f"{', '.join(run.grids[-1].fields)}; open {run.path / GRID_INDEX} in ParaView"
+    return [f"grid fields   {len(run.grids)}, {named}"]
+
+
+def describe_grid(grid):
+    told = grid.attributes
+    lines = [
+        f"grid fields   {grid.path}",
+        f"time          {grid.time:.6g} s after {grid.step} steps",
+        f"nodes         {' x '.join(map(str, told['nodes']))}, {told['cell_size']:.6g} m apart",
+        "fields",
+    ]
+    with reading_grid(grid.path) as (file, _):
+        dim, held = told["dim"], sorted(file["VTKHDF/PointData"].items())
+        fields = [f"  {name:<20} {kind_of(item, dim)}" for name, item in held]
+    return "\n".join([*lines, *fields])
 
 
 def checkpoint_lines(place):
@@ -416,8 +544,8 @@ def describe_snapshot(snapshot):
     return "\n".join(lines)
 
 
-def kind_of(dataset):
-    columns = math.prod(dataset.shape[1:])
+def kind_of(dataset, axes=1):
+    columns = math.prod(dataset.shape[axes:])
     unit = plain_attribute(dataset.attrs["unit"]) if "unit" in dataset.attrs else "-"
     return f"{dataset.dtype.name} {f'x {columns}' if columns > 1 else '':<4} {unit}"
 

@@ -5,7 +5,7 @@ DIR/log.txt          every message of the run
 DIR/run.json         versions, hosts, ranks, status, and the report at the end
 DIR/run.lock         host and process of the run that writes here; gone when it has ended
 DIR/snapshots/, DIR/snapshots.xdmf, DIR/checkpoints/, DIR/diagnostics.csv      written by their own files of this room
-DIR/probes/, DIR/gauges/, DIR/maps.npz     where a scene asks for them
+DIR/probes/, DIR/gauges/, DIR/maps.npz, DIR/grid/, DIR/grid.xdmf     where a scene asks for them
 DIR/failed.hdf       the state of a run that went wrong, as a snapshot
 """
 
@@ -38,8 +38,9 @@ SCENE, LOG, RECORD, LOCK = "scene.toml", "log.txt", "run.json", "run.lock"
 FAILED = "failed.hdf"
 INDEX, DIAGNOSTICS, SNAPSHOTS, CHECKPOINTS = "snapshots.xdmf", "diagnostics.csv", "snapshots", "checkpoints"
 MAPS, SERIES = "maps.npz", ("probes", "gauges")
-OWN_FILES = (SCENE, LOG, INDEX, DIAGNOSTICS, FAILED, MAPS)
-OWN_FOLDERS = (SNAPSHOTS, CHECKPOINTS)
+GRID_INDEX, GRIDS = "grid.xdmf", "grid"
+OWN_FILES = (SCENE, LOG, INDEX, DIAGNOSTICS, FAILED, MAPS, GRID_INDEX)
+OWN_FOLDERS = (SNAPSHOTS, CHECKPOINTS, GRIDS)
 DIAGNOSTICS_HEAD = b"step,time,dt,"  # with which a file of diagnostics, of a probe or a gauge begins
 NUMBERED = re.compile(r"\d{6,}\.hdf")
 OWN_NAMES = re.compile(r"\d{6,}\.(hdf|json)|\.\d{6,}\.(hdf|json)\.unfinished")
@@ -117,7 +118,7 @@ class RunDirectory:
                 record["started"] = before.get("started", record["started"])
                 remove_checkpoints(place, discarded)
                 remove_unfinished(place)
-                for snapshot in snapshot_files(place):
+                for snapshot in (*snapshot_files(place), *grid_files(place)):
                     if int(snapshot.stem) >= outputs.get("snapshots", 0):
                         snapshot.unlink()
                 lost = keep_lines(place / DIAGNOSTICS, outputs.get("diagnostics", 0))
@@ -338,7 +339,15 @@ def read_status(place):
 
 def snapshot_files(place):
     """Paths of the finished snapshots of the run in `place`, in order."""
-    folder = Path(place) / SNAPSHOTS
+    return numbered_files(Path(place) / SNAPSHOTS)
+
+
+def grid_files(place):
+    """Paths of the fields on nodes that go with snapshots of the run in `place`, in order."""
+    return numbered_files(Path(place) / GRIDS)
+
+
+def numbered_files(folder):
     if not folder.is_dir():
         return []
     return sorted(

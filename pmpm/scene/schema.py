@@ -48,7 +48,8 @@ PLACES_OF_INFLOW = 2000  # that are asked whether they lie in a collider
 FLIP_BLEND = 0.99
 ENERGY_GAIN = 0.3
 SNAPSHOTS, DIAGNOSTICS = 50, 200
-UNASKED = ("checkpoint_at_end", "probes", "gauges", "maps")  # of the output, absent where they are not asked for
+# Of the output, absent where they are not asked for.
+UNASKED = ("checkpoint_at_end", "probes", "gauges", "maps", "grid_fields")
 WALL_INTERVAL = 1800.0
 # How far sizes and corners may miss a whole cell or a wall by rounding, relative to the domain.
 ROUNDING = 1e-9
@@ -56,6 +57,9 @@ MOST_CELLS = 2**31
 FACES = tuple(f"{axis}_{end}" for axis in AXES for end in ("min", "max"))
 # What snapshots of a scene file may hold: a file has no laws but the built-in ones.
 FIELDS = tuple(dict.fromkeys((*OUTPUT_NAMES, *(field.name for law in LAWS.values() for field in law.STATE))))
+# What nodes may have: what is a mean over particles, and the mass of a node.
+NO_MEANS = ("id", "x", "material", "volume")
+GRID_FIELDS = ("mass", *(name for name in FIELDS if name not in NO_MEANS))
 # Default of what is filled in once the rest of the scene is known.
 LATER: Any = None
 
@@ -319,6 +323,9 @@ class Output(Part):
     )
     maps: Annotated[tuple[str, ...], names(watched.MAPS)] = Field(
         default=(), description=f"maps over the whole run: of {', '.join(watched.MAPS)}"
+    )
+    grid_fields: Annotated[tuple[str, ...], names(GRID_FIELDS)] = Field(
+        default=(), description="fields on the nodes of the grid, written beside each snapshot"
     )
 
     @model_serializer(mode="wrap")
@@ -693,6 +700,15 @@ class Scene(Part):
                 yield Problem(("output", "fields", index), f"is not a known field; {near}", name)
             elif (reason := self.field_kept_by_nobody(name)) is not None:
                 yield Problem(("output", "fields", index), reason, name)
+        means = ["mass", *(name for name in known if name not in NO_MEANS)]
+        for index, name in enumerate(self.output.grid_fields):
+            here = ("output", "grid_fields", index)
+            if name in NO_MEANS:
+                yield Problem(here, f"has no mean over particles; {known_text(name, means, 'fields on nodes')}", name)
+            elif name not in means:
+                yield Problem(here, f"is not a known field; {known_text(name, means, 'fields on nodes')}", name)
+            elif (reason := self.field_kept_by_nobody(name)) is not None:
+                yield Problem(here, reason, name)
 
     def field_kept_by_nobody(self, name: str) -> str | None:
         """Return why no particle of this scene has such a field, None if there are some that have."""

@@ -25,7 +25,7 @@ from pmpm.scene.exact import Exact
 from pmpm.scene.materials import MODELS
 from pmpm.scene.materials import material as make_material
 from pmpm.scene.outside import checksum
-from pmpm.scene.schema import Scene
+from pmpm.scene.schema import NO_MEANS, Scene
 from pmpm.scene.shapes import SHAPES
 from pmpm.scene.watched import MAPS
 from pmpm.state.fields import OUTPUT_NAMES
@@ -418,6 +418,7 @@ def output(draw, materials, h, cells, periodic, gravity):
     made = [make_material(table) for table in materials.values()]
     states = {field.name for m in made for field in law_of(m.model).state_fields(m.parameters)} - set(OUTPUT_NAMES)
     common = [name for name in OUTPUT_NAMES if name not in NOT_IN_EVERY_SCENE]
+    nodal = [name for name in common if name not in NO_MEANS]
     falls = gravity is not None and any(gravity)
     walled = [axis for axis in "xyz"[: len(cells)] if axis not in periodic]
     place = st.tuples(*(between(0.0, count * h) for count in cells)).map(list)
@@ -431,6 +432,9 @@ def output(draw, materials, h, cells, periodic, gravity):
         "probes": draw(maybe(st.lists(probe, max_size=2, unique_by=lambda told: told["name"]))),
         "gauges": draw(maybe(st.lists(gauge, max_size=2, unique_by=lambda told: told["name"]))),
         "maps": draw(maybe(st.lists(st.sampled_from(MAPS), unique=True))) if falls else None,
+        "grid_fields": draw(
+            maybe(st.lists(st.sampled_from(("mass", *nodal, *sorted(states))), unique=True, max_size=3))
+        ),
         "snapshot_interval": draw(maybe(st.sampled_from((h * 1e-3, h, 1e9)))),
         "diagnostics_interval": draw(maybe(st.sampled_from((h * 1e-3, h, 1e9)))),
         "fields": draw(maybe(st.lists(st.sampled_from((*common, *sorted(states))), unique=True, max_size=4))),

@@ -733,6 +733,26 @@ BROKEN = [
         ['output.maps[0] = "depth" is not a known map', "max_depth?"],
     ),
     (
+        "unknown field on nodes",
+        change(SNAPSHOT, 'grid_fields = ["mass", "densty"]'),
+        ['output.grid_fields[1] = "densty" is not a known field', "density?"],
+    ),
+    (
+        "ids on nodes",
+        change(SNAPSHOT, 'grid_fields = ["id"]'),
+        ['output.grid_fields[0] = "id" has no mean over particles', "fields on nodes: mass, velocity"],
+    ),
+    (
+        "displacements on nodes that nobody keeps",
+        change(SNAPSHOT, 'grid_fields = ["displacement"]'),
+        ['output.grid_fields[0] = "displacement" is known only where particles carry their reference position'],
+    ),
+    (
+        "field on nodes twice",
+        change(SNAPSHOT, 'grid_fields = ["J", "J"]'),
+        ['output.grid_fields[1] = "J" is named twice'],
+    ),
+    (
         "map without gravity",
         change(GRAVITY, "", change('pressure = "hydrostatic"', "", change(SNAPSHOT, 'maps = ["deposit"]'))),
         ['output.maps[0] = "deposit" needs gravity'],

@@ -7,7 +7,13 @@ import sys
 import pytest
 
 HEAVY = ("numba", "mpi4py", "h5py", "meshio", "matplotlib", "pydantic", "numpy")
-WATCHERS = ("pmpm.sampling", "pmpm.series", "pmpm.maps")  # of scenes with probes, gauges and maps
+WATCHERS = (
+    "pmpm.sampling",
+    "pmpm.series",
+    "pmpm.maps",
+    "pmpm.grid_fields",
+    "pmpm.output.grids",
+)  # of scenes with probes, gauges, maps and fields on nodes
 WAYS = (
     "pmpm.collision",
     "pmpm.flow",
