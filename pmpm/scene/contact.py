@@ -49,19 +49,22 @@ class Contact(Part):
         """Return the number of the velocity field of each of these materials: each its own, but for those that are bonded."""
         fields: dict[str, int] = {}
         for material in materials:
-            bonded = [
-                fields[other] for group in self.together if material in group for other in group if other in fields
-            ]
-            fields[material] = bonded[0] if bonded else len(set(fields.values()))
+            bonded = self.field_of(material, fields)
+            fields[material] = len(set(fields.values())) if bonded is None else bonded
         return fields
+
+    def field_of(self, material: str, fields: Mapping[str, int]) -> int | None:
+        """Return the velocity field that a material shares with one of these, None if with none."""
+        bonded = [other for group in self.together if material in group for other in group]
+        return next((fields[other] for other in (material, *bonded) if other in fields), None)
 
     def frictions(self, fields: Mapping[str, int]) -> dict[tuple[int, int], float]:
         """Return the coefficient of friction between each two of these velocity fields."""
         found = dict.fromkeys(itertools.combinations(sorted(set(fields.values())), 2), self.friction)
         for pair in self.pairs:
-            a, b = sorted(fields.get(material, -1) for material in pair.materials)
-            if (a, b) in found:
-                found[a, b] = pair.friction
+            one, other = (self.field_of(material, fields) for material in pair.materials)
+            if one is not None and other is not None:
+                found[min(one, other), max(one, other)] = pair.friction
         return found
 
     def wrong_contact(self, known: Mapping[str, Any], used: tuple[str, ...]) -> Iterator[Problem]:

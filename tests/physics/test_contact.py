@@ -9,6 +9,7 @@ import pytest
 import pmpm
 from pmpm.kernels import targets
 from pmpm.physics import contact, tensors2, tensors3
+from pmpm.scene.contact import Contact
 
 RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e6, "poisson_ratio": 0.3}
 STIFF = {"model": "neo_hookean", "density": 2000.0, "youngs_modulus": 1e7, "poisson_ratio": 0.3}
@@ -222,6 +223,14 @@ def test_materials_that_are_together_are_bonded():
     s.run()
     assert of_body(s, 1).v[0] < 0.05
     assert of_body(s, 2).v[0] == pytest.approx(G * s.time * (math.sin(angle) - 0.1 * math.cos(angle)), rel=0.1)
+
+
+def test_friction_told_of_a_material_holds_for_all_that_are_bonded_to_it():
+    """Also where no body is of the material that is named."""
+    told = Contact(friction=0.1, together=[["sand", "clay"]], pairs=[{"materials": ["steel", "clay"], "friction": 0.5}])
+    fields = told.velocity_fields(("sand", "steel", "wood"))
+    assert fields == {"sand": 0, "steel": 1, "wood": 2}
+    assert told.frictions(fields) == {(0, 1): 0.5, (0, 2): 0.1, (1, 2): 0.1}
 
 
 @pytest.mark.parametrize(("heavy", "light"), [(1e5, 1.0), (1e3, 1e3)])
