@@ -143,9 +143,18 @@ def kind(told):
 def list_kind(told):
     items, low, high = told.get("items", {}), told.get("minItems", 0), told.get("maxItems")
     if items.get("type") == "array":
-        return "square matrix of 2 or 3 rows" if "anyOf" in told else "list of lists of numbers"
+        words = items.get("items", {}).get("type") == "string"
+        return (
+            "square matrix of 2 or 3 rows" if "anyOf" in told else f"list of lists of {'words' if words else 'numbers'}"
+        )
     if items.get("type") == "number" or not items:
-        return "numbers" if high is None else f"{low} numbers" if low == high else f"{low} or {high} numbers"
+        return (
+            "numbers"
+            if high is None
+            else f"{low} numbers"
+            if low == high
+            else f"{low} {'or' if high == low + 1 else 'to'} {high} numbers"
+        )
     return "list of words" if "enum" in items else "list: " + kind(items).removeprefix("table: ")
 
 

@@ -165,10 +165,10 @@ class Memory:
 
 def memory(scene, needs, geometry, counts):
     """What the particles, `counts` per body, and the grid of a scene take; of inflows what they bring at first counts."""
-    from pmpm.scene.needs import law_of_body
+    from pmpm.scene.needs import laws_of_sources
 
     sizes = [sum(fields.values()) for fields in bytes_per_particle(needs)]
-    of_source = np.array([sizes[needs.laws.index(law_of_body(scene, source))] for source in scene.sources], float)
+    of_source = np.array([sizes[needs.laws.index(law)] for law in laws_of_sources(scene)], float)
     ways = [FILLING if body.displacement is None else FILLING_DISPLACED for body in scene.bodies]
     filling = of_source * [*ways, *(FILLING_DISPLACED for _ in scene.inflows)]
     counts = np.append(counts, [stream(scene, inflow).first for inflow in scene.inflows])

@@ -20,7 +20,7 @@ from pmpm.particle_access import nodes_and_places
 from pmpm.populate import in_precision, state_at_rest
 from pmpm.scene.forcing import velocity_at
 from pmpm.scene.functions import Unfit
-from pmpm.scene.needs import law_of_body, open_faces
+from pmpm.scene.needs import laws_of_sources, open_faces
 from pmpm.scene.seeding import id_offsets, lattice_range
 from pmpm.state.derived import MASS, VOLUME0
 from pmpm.state.fields import SHARE_STEPS, in_steps
@@ -53,9 +53,10 @@ class Flow:
         )
         waves = estimate.waves_at_rest(scene, simulation.needs, simulation.tables)
         self.mouths = []
+        laws = laws_of_sources(scene)
         for number, inflow in enumerate(scene.inflows):
             row = len(scene.bodies) + number
-            law = simulation.needs.laws.index(law_of_body(scene, inflow))
+            law = simulation.needs.laws.index(laws[row])
             self.mouths.append(
                 Mouth(inflow, number, row, law, scene, simulation.geometry, waves[law], self.volumes[row])
             )

@@ -10,7 +10,7 @@ from pmpm.scene import geostatic, seeding, start
 from pmpm.scene.errors import SceneError
 from pmpm.scene.functions import Unfit
 from pmpm.scene.messages import value_text
-from pmpm.scene.needs import law_of_body
+from pmpm.scene.needs import laws_of_sources
 from pmpm.scene.schema import ROUNDING
 from pmpm.state.derived import DENSITY, PARAMETERS
 from pmpm.state.particles import Cloud, layer_groups
@@ -37,7 +37,7 @@ class Beginning:
         counts, loaded = map(comm.sum, counted(scene, geometry, first, last))
         refuse_empty(counts.sum(axis=1), scene)
         self.loads = load_accelerations(scene, loaded)
-        laws = np.array([simulation.needs.laws.index(law_of_body(scene, body)) for body in scene.bodies], int)
+        laws = np.array(list(map(simulation.needs.laws.index, laws_of_sources(scene)[: len(scene.bodies)])), int)
         self.counts = np.zeros((geometry.layers, len(simulation.needs.laws)), np.int64)
         np.add.at(self.counts.T, laws, counts)
         return self.counts
@@ -67,13 +67,13 @@ class Beginning:
         """Yield the particles of each law of one batch of groups of layers after another, as Clouds; of the bodies that are
         `wanted`. Complaints are kept by (number of the law, body, key)."""
         scene, geometry = simulation.scene, simulation.geometry
-        around = seeding.surroundings(scene)
+        around, laws = seeding.surroundings(scene), laws_of_sources(scene)
         groups = [group for batch in batches for group in batch]
         bodies = {n: seeding.seed(scene, geometry, n, groups, around) for n in np.flatnonzero(wanted)}
         for batch in batches:
             found = [[Cloud.room(0, layout.size, geometry.dim, simulation.real)] for layout in simulation.layouts]
             for number, seeds in bodies.items():
-                law = simulation.needs.laws.index(law_of_body(scene, scene.bodies[number]))
+                law = simulation.needs.laws.index(laws[number])
                 found[law] += [self.cloud(simulation, law, number, next(seeds), complaints) for _ in batch]
             yield [Cloud.join(clouds) for clouds in found]
 

@@ -221,7 +221,7 @@ def changes(origin, scene):
             "what they are. These can: title, time.*, output.*, guard.*, parallel.*, exact.*, domain.gravity, "
             "domain.walls.* that are not open, method.damping, method.flip_blend, method.precision, "
             "materials.*.* but model and density, motions[n].velocity, "
-            "inflows[n].velocity, inflows[n].until, inflows[n].limit, "
+            "inflows[n].velocity, inflows[n].until, inflows[n].limit, contact.friction, contact.pairs, "
             "colliders[n].surface, colliders[n].velocity, colliders[n].angular_velocity, and where a file of a shape lies"
         )
     return differing

@@ -337,26 +337,29 @@ def touch(nodes, volumes, room, pairs, frictions, first, last):
     Bodies touch where together they fill `room` (m3) around a node.
     """
     before = flush_denormals()
+    per_room = 1.0 / room
     for i in range(first, last):
-        filled = real(0.0)
+        held, filled = 0, real(0.0)
         for field in range(volumes.shape[0]):
+            if nodes[field, i, 3] > 0.0:
+                held += 1
             filled += volumes[field, i, 3]
-        if filled >= room:
+        if held > 1 and filled >= room:
             for pair in range(pairs.shape[0]):
-                touch_at(nodes[pairs[pair, 0]], nodes[pairs[pair, 1]], volumes[pairs[pair, 0]], volumes[pairs[pair, 1]], i,
-                         frictions[pair])  # fmt: skip
+                a, b = pairs[pair, 0], pairs[pair, 1]
+                if nodes[a, i, 3] > 0.0 and nodes[b, i, 3] > 0.0:
+                    touch_at(nodes[a], nodes[b], volumes[a], volumes[b], i, per_room, frictions[pair])
     restore_denormals(before)
 
 
-def touch_at(nodes_a, nodes_b, volumes_a, volumes_b, i, friction):
+def touch_at(nodes_a, nodes_b, volumes_a, volumes_b, i, per_room, friction):
     """The same of one pair on one node."""
-    mass_a, mass_b = nodes_a[i, 3], nodes_b[i, 3]
-    if mass_a > 0.0 and mass_b > 0.0:
-        a, b = momentum_at(nodes_a, i), momentum_at(nodes_b, i)
-        n = contact.normal_between(momentum_at(volumes_a, i), momentum_at(volumes_b, i))
-        gained = contact.momentum_gained(a, mass_a, b, mass_b, n, friction)
-        put_vector(nodes_a, i, la.add_scaled_vector(a, 1.0, gained))
-        put_vector(nodes_b, i, la.add_scaled_vector(b, -1.0, gained))
+    a, b = momentum_at(nodes_a, i), momentum_at(nodes_b, i)
+    out_of_a, out_of_b = momentum_at(volumes_a, i), momentum_at(volumes_b, i)
+    n = contact.normal_between(la.scale_vector(per_room, out_of_a), la.scale_vector(per_room, out_of_b))
+    gained = contact.momentum_gained(a, nodes_a[i, 3], b, nodes_b[i, 3], n, friction)
+    put_vector(nodes_a, i, la.add_scaled_vector(a, 1.0, gained))
+    put_vector(nodes_b, i, la.add_scaled_vector(b, -1.0, gained))
 
 
 def whole(x):

@@ -14,6 +14,8 @@ from pmpm.output.run_directory import GRID_INDEX, GRIDS, grid_files
 from pmpm.output.snapshots import index_item, index_text
 
 POINTS = "VTKHDF/PointData"
+# Of fields with so many components; of others, which it calls a matrix, XDMF takes the axes of the grid for rows and columns.
+KINDS = {1: "Scalar", 3: "Vector", 6: "Tensor6", 9: "Tensor"}
 
 
 class GridWriter:
@@ -122,9 +124,10 @@ def index_entry(name, time, nodes, cell_size, shapes):
     for path in sorted(shapes):
         shape, dtype = shapes[path]
         components = int(np.prod(shape[len(nodes) :], dtype=np.int64))
-        kind = {1: "Scalar", 3: "Vector", 6: "Tensor6", 9: "Tensor"}.get(components, "Matrix")
+        if components not in KINDS:
+            continue
         lines += [
-            f'<Attribute Name="{path.rpartition("/")[2]}" AttributeType="{kind}" Center="Node">',
+            f'<Attribute Name="{path.rpartition("/")[2]}" AttributeType="{KINDS[components]}" Center="Node">',
             index_item(f"{GRIDS}/{name}", path, {path: ((*flat, *shape), dtype)}),
             "</Attribute>",
         ]

@@ -17,7 +17,8 @@ from pmpm.physics.words import TINY, sqrt
 
 
 def normal_between(gradient_a, gradient_b):
-    """The unit normal from a to b, of the gradients sum V grad N that point out of each; zero where both are the same."""
+    """The unit normal from a to b, of the gradients sum V grad N that point out of each, in parts of what there may be; zero
+    where both are the same."""
     along = la.add_scaled_vector(gradient_a, -1.0, gradient_b)
     return la.scale_vector(1.0 / max(sqrt(la.dot(along, along)), TINY), along)
 
@@ -25,9 +26,8 @@ def normal_between(gradient_a, gradient_b):
 def momentum_gained(a, mass_a, b, mass_b, n, friction):
     """What the body with momentum a (kg m/s) gains from the one with momentum b, n pointing from it to the other.
 
-    Of a's momentum against the common centre of mass, the other body is a wall.
+    To the velocity with which a comes, the other body is a wall; what that changes is given to a mass that both have.
     """
-    both = mass_a + mass_b
-    against = la.add_scaled_vector(la.scale_vector(mass_b / both, a), -mass_a / both, b)
-    kept = boundary.wall_friction(against, la.scale_vector(-1.0, n), friction, 0.0)
-    return la.add_scaled_vector(kept, -1.0, against)
+    coming = la.add_scaled_vector(la.scale_vector(1.0 / mass_a, a), -1.0 / mass_b, b)
+    kept = boundary.wall_friction(coming, la.scale_vector(-1.0, n), friction, 0.0)
+    return la.scale_vector(mass_a * (mass_b / (mass_a + mass_b)), la.add_scaled_vector(kept, -1.0, coming))

@@ -246,9 +246,12 @@ class Collider(Part):
 
     def repeats(self, periods: tuple[float, ...]) -> tuple[float, ...]:
         """Return the periods (m) along which it comes in again at the other end: infinite where it is longer than the domain,
-        for then it would meet itself."""
+        for then it would meet itself; one that turns may be as long as its diagonal along any axis."""
         low, high = self.bounds(len(periods))
-        fits = np.isfinite(high - low) & (high - low <= (1.0 + ROUNDING) * np.array(periods))
+        length = high - low
+        if self.angular_velocity is not None:
+            length = np.full(len(periods), np.linalg.norm(length))
+        fits = np.isfinite(length) & (length <= (1.0 + ROUNDING) * np.array(periods))
         return tuple(float(period) if one else math.inf for period, one in zip(periods, fits, strict=True))
 
     def nearest(self, points: np.ndarray, periods: tuple[float, ...]) -> np.ndarray:

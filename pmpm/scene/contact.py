@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pmpm.scene.messages import Problem, Problems, known_text
 from pmpm.scene.part import Part
@@ -22,14 +22,8 @@ def check_groups(value: Any) -> Any:
 class Pair(Part):
     """Two materials with friction of their own."""
 
-    materials: Annotated[tuple[str, ...], names()] = Field(description="names of the two materials")
+    materials: Annotated[tuple[str, ...], names(least=2, most=2)] = Field(description="names of the two materials")
     friction: Annotated[float, FRICTION] = Field(description="coefficient of Coulomb friction between them")
-
-    @model_validator(mode="after")
-    def check_number(self) -> "Pair":
-        if len(self.materials) != 2:
-            raise Problems(Problem(("materials",), "must name two materials", list(self.materials)))
-        return self
 
 
 class Contact(Part):
@@ -39,7 +33,7 @@ class Contact(Part):
         default=0.0, description="coefficient of Coulomb friction between materials without one of their own"
     )
     together: Annotated[
-        tuple[Annotated[tuple[str, ...], names()], ...], Checked(check_groups, told=lambda inner: inner)
+        tuple[Annotated[tuple[str, ...], names(least=2)], ...], Checked(check_groups, told=lambda inner: inner)
     ] = Field(default=(), description="groups of materials that are bonded to each other")
     pairs: Annotated[tuple[Pair, ...], tables("pair", least=0)] = Field(
         default=(), description="one table [[contact.pairs]] for each two materials with friction of their own"

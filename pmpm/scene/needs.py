@@ -18,10 +18,13 @@ MOST_IDS = 2**63  # ids are 64-bit integers
 MOST_NODES = 59_000_000  # of a plane: 9 planes of 4 reals (a ring, cubic) are counted in 32 bits
 
 
-def law_of_body(scene, body):
-    """The LawNeeds of a body's material."""
-    material = scene.materials[body.material]
-    return law_needs(material.model, material.parameters, velocity_fields(scene)[body.material])
+def laws_of_sources(scene):
+    """The LawNeeds of each body and each inflow, by its material."""
+    fields = velocity_fields(scene)
+    found = {
+        name: law_needs(scene.materials[name].model, scene.materials[name].parameters, fields[name]) for name in fields
+    }
+    return [found[source.material] for source in scene.sources]
 
 
 def velocity_fields(scene):
@@ -32,7 +35,7 @@ def velocity_fields(scene):
 
 def scene_needs(scene):
     """What a scene asks of the kernels."""
-    laws = dict.fromkeys(law_of_body(scene, source) for source in scene.sources)
+    laws = dict.fromkeys(laws_of_sources(scene))
     walls = tuple(sorted({wall.type for wall in scene.domain.walls.values()} - set(NOT_HELD)))
     method = scene.method
     asked = scene.parallel.slab_axis
@@ -113,8 +116,8 @@ def law_table(scene, law):
     """
     dim = scene.dim
     rows: list[list[float] | None] = []
-    for source in scene.sources:
-        if law_of_body(scene, source) == law:
+    for source, of_source in zip(scene.sources, laws_of_sources(scene), strict=True):
+        if of_source == law:
             keys = scene.materials[source.material].parameters
             volume0 = seeding.whole_volume(scene, source)
             rows.append([keys["density"] * volume0, volume0, keys["density"], *law.module.parameters(keys, dim)])

@@ -163,8 +163,9 @@ def check_word(value: Any, built: Collection[str], planned: Collection[str] = ()
     raise Problems(Problem(path, f"is not known; {known_text(value, built, 'known are')}", value))
 
 
-def names(known: Collection[str] = ()) -> Checked:
-    """Accept a list of words without repetition; if any are `known`, no others may stand in a file: checked elsewhere."""
+def names(known: Collection[str] = (), least: int = 0, most: int | None = None) -> Checked:
+    """Accept a list of `least` to `most` words without repetition; if any are `known`, no others may stand in a file: checked
+    elsewhere."""
 
     def check(value: Any) -> Any:
         if not isinstance(value, list | tuple) or not all(isinstance(item, str) for item in value):
@@ -172,10 +173,14 @@ def names(known: Collection[str] = ()) -> Checked:
         twice = [index for index, item in enumerate(value) if item in value[:index]]
         if twice:
             raise Problems(*(Problem((index,), "is named twice", value[index]) for index in twice))
+        if not least <= len(value) <= (len(value) if most is None else most):
+            count = f"{least}" if least == most else f"at least {least}"
+            raise Problems(Problem((), f"must be a list of {count} names", value))
         return tuple(value)
 
     word = {"enum": list(known)} if known else {"type": "string"}
-    return checked(check, {"type": "array", "items": word, "uniqueItems": True})
+    lengths = ({"minItems": least} if least else {}) | ({} if most is None else {"maxItems": most})
+    return checked(check, {"type": "array", "items": word, "uniqueItems": True, **lengths})
 
 
 def flag() -> Checked:

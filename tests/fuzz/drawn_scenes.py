@@ -334,7 +334,7 @@ def contact(draw, names):
     pair = {"materials": names[:2], "friction": draw(between(0.0, 2.0))}
     return {
         "friction": draw(maybe(between(0.0, 1.0))),
-        "together": draw(maybe(st.sampled_from(([], [[names[0]]], [names[1:]])))),
+        "together": draw(maybe(st.sampled_from(([], [names[1:]])))),
         "pairs": draw(maybe(st.lists(st.just(pair), max_size=1))),
     }
 

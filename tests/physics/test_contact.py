@@ -255,6 +255,21 @@ def test_extreme_pairs_stay_bounded(heavy, light, hard, soft, precision):
     assert np.isfinite(s.particles.x).all()
 
 
+@pytest.mark.parametrize("cell", [1e-10, 1e3])
+def test_contact_knows_no_length_of_its_own(cell):
+    """Blocks of any size part alike, in float32 too, whose smallest numbers are not far from the momenta of small cells."""
+    bounced = []
+    for scale in (cell, 0.05):
+        bodies = [(RUBBER, box(*(np.array([[2, 3], [6, 7]]) * scale)), [2.0, 0.3]),
+                  (RUBBER, box(*(np.array([[6, 3], [10, 7]]) * scale)), [-1.0, 0.0])]  # fmt: skip
+        size = (12 * scale, 10 * scale)
+        s = simulation(bodies, 0.3, size=size, cell_size=scale, end=0.5 * scale, method={"precision": "float32"})
+        s.run()
+        bounced.append(np.array([of_body(s, number).v for number in (0, 1)]))
+    assert bounced[0] == pytest.approx(bounced[1], abs=1e-3)
+    assert bounced[0][0, 0] < bounced[0][1, 0]
+
+
 def test_sand_on_a_plate_that_rises_moves_with_it():
     """A motion meets every velocity field; it imposes its velocity on the plate alone, for there is no sand in its region."""
     bodies = [(STIFF, box([0.0, 0.1], [0.4, 0.3]), [0.0, 0.0]), (SAND, box([0.0, 0.3], [0.4, 0.5]), [0.0, 0.0])]

@@ -345,7 +345,7 @@ BROKEN = [
     ("inflow outside", inflow("0.05]", "0.2]"), ["inflows[0].shape", "out of the domain", "0.2 m along z"]),
     ("inflow along nothing", inflow("velocity = [0, 0, 1]", ""), ["inflows[0].velocity is missing"]),
     ("contact with whom", contact('["sand", "watr"]'), ['contact.pairs[0].materials[1] = "watr"', "water?"]),
-    ("contact with one", contact('["sand"]'), ["contact.pairs[0].materials", "two materials"]),
+    ("contact with one", contact('["sand"]'), ["contact.pairs[0].materials", "2 names"]),
     ("contact with itself", contact('["sand", "sand"]'), ["contact.pairs[0].materials[1]", "named twice"]),
     ("contact of the bonded", contact(head='together = [["sand", "water"]]'), ["contact.pairs[0].materials", "bonded"]),
     (
@@ -355,10 +355,11 @@ BROKEN = [
     ),
     (
         "bonded twice",
-        contact(head='together = [["sand"], ["water", "sand"]]'),
+        contact(head='together = [["sand", "water"], ["water", "sand"]]'),
         ["contact.together[0][0]", "two groups"],
     ),
-    ("bonded to nobody", contact(head='together = [["sad"]]'), ['contact.together[0][0] = "sad"', "sand?"]),
+    ("bonded to nobody", contact(head='together = [["sad", "water"]]'), ['contact.together[0][0] = "sad"', "sand?"]),
+    ("bonded to itself", contact(head='together = [["sand"]]'), ["contact.together[0]", "at least 2 names"]),
     ("groups that are none", contact(head='together = "sand"'), ["contact.together", "list of groups"]),
     ("groups of none", contact(head='together = ["sand"]'), ["contact.together[0]", "list of names"]),
     ("negative friction in contact", contact(head="friction = -0.1"), ["contact.friction = -0.1", ">= 0"]),

@@ -216,13 +216,16 @@ def test_vtk_reads_a_uniform_grid_with_every_node_in_its_place(through, way):
 @pytest.mark.parametrize("slab_axis", ["x", "y"])
 def test_in_the_plane_vtk_reads_one_plane_of_nodes(tmp_path, slab_axis):
     scene = still(slab_axis=slab_axis).scene
-    table = scene.to_toml().replace("[output]", '[output]\ngrid_fields = ["velocity", "pressure"]')
+    table = scene.to_toml().replace("[output]", '[output]\ngrid_fields = ["velocity", "pressure", "F"]')
     (tmp_path / "a.toml").write_text(table, encoding="utf-8")
     assert main(["run", str(tmp_path / "a.toml"), "--out", str(tmp_path / "run"), "--quiet", "--steps", "3"]) == 0
     grid = pmpm.load(tmp_path / "run").grids[-1]
     image = vtk_index(tmp_path / "run" / "grid.xdmf", grid.time)
     assert image.GetDimensions() == (11, 9, 1)
     assert differences(image, grid, ["velocity", "pressure"]) == []
+    # XDMF knows no 2 x 2 tensor; VTK would take the axes of the grid for its rows and columns.
+    assert grid.F.shape[2:] in ((4,), (2, 2))
+    assert image.GetPointData().GetArray("F") is None
 
 
 def run(arguments, ranks, folder):
