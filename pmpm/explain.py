@@ -53,6 +53,7 @@ def explain(scene, ranks, backend="cpu"):
         f"method        {scene.method.transfer}, {scene.method.shape_function} splines, {scene.method.precision}",
         f"guard         {guard_text(scene)}",
         f"laws          {', '.join(law_text(law) for law in needs.laws)}",
+        *contact_lines(scene),
         f"left out      {', '.join(left_out(scene, needs)) or 'nothing'}",
         "bytes of a particle",
         *aligned(byte_rows(needs)),
@@ -146,6 +147,18 @@ def guard_text(scene):
     if work is not None:
         return f"energy not watched: nobody adds up the work of {work}"
     return f"energy, every {guard.interval} steps: at most {guard.energy_gain:g} of what moves may come out of nothing"
+
+
+def contact_lines(scene):
+    """Which materials move on their own where they touch, in the order of their laws; nothing where all are bonded."""
+    if scene.contact is None:
+        return []
+    from pmpm.scene.needs import velocity_fields
+
+    of_field: dict[int, list[str]] = {}
+    for material, field in velocity_fields(scene).items():
+        of_field.setdefault(field, []).append(material)
+    return [f"contact       between {' and '.join(' with '.join(names) for names in of_field.values())}"]
 
 
 def law_text(law):

@@ -39,6 +39,22 @@ def box(low, high):
     return {"type": "box", "min": list(low), "max": list(high)}
 
 
+def test_what_turns_comes_in_again_only_where_its_diagonal_fits():
+    rod = {"shape": box([0.45, 0.1], [0.55, 0.9]), "surface": "stick"}
+    domain = {"size": [0.7, 1.0], "cell_size": 0.05, "periodic": ["x"]}
+    tables = {
+        "time": {"end": 1.0},
+        "materials": {"a": RUBBER},
+        "bodies": [{"material": "a", "shape": box([0, 0], [0.2, 0.2])}],
+    }
+    still, turning = (
+        pmpm.Scene(domain=domain, **tables, colliders=[rod | motion]).colliders[0]
+        for motion in ({}, {"angular_velocity": 9.0})
+    )
+    assert still.repeats((0.7, math.inf))[0] == 0.7
+    assert turning.repeats((0.7, math.inf))[0] == math.inf
+
+
 def momentum(s):
     return s.particles.mass @ s.particles.v
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import pmpm
+from pmpm.explain import explain
 from pmpm.kernels import targets
 from pmpm.physics import contact, tensors2, tensors3
 from pmpm.scene.contact import Contact
@@ -231,6 +232,17 @@ def test_friction_told_of_a_material_holds_for_all_that_are_bonded_to_it():
     fields = told.velocity_fields(("sand", "steel", "wood"))
     assert fields == {"sand": 0, "steel": 1, "wood": 2}
     assert told.frictions(fields) == {(0, 1): 0.5, (0, 2): 0.1, (1, 2): 0.1}
+
+
+def test_check_tells_who_is_bonded_to_whom():
+    tables = {f"m{n}": RUBBER for n in range(3)}
+    bodies = [{"material": name, "shape": ball([0.2 + 0.3 * n, 0.5], 0.1)} for n, name in enumerate(tables)]
+    scene = pmpm.Scene(domain={"size": [1.0, 1.0], "cell_size": 0.05}, time={"end": 1.0}, materials=tables, bodies=bodies,
+                       contact={"together": [["m2", "m0"]]})  # fmt: skip
+    assert "contact       between m0 with m2 and m1" in explain(scene, 1).splitlines()
+    assert not [
+        line for line in explain(scene.model_copy(update={"contact": None}), 1).splitlines() if "between" in line
+    ]
 
 
 @pytest.mark.parametrize(("heavy", "light"), [(1e5, 1.0), (1e3, 1e3)])
