@@ -101,8 +101,6 @@ def kernel_rows(progress):
     rows, missed, seen = [], [], set()
     for scene_name in builtin_scenes():
         scene = pmpm.Scene.builtin(scene_name, {"method.precision": "float32"})
-        if scene.contact is not None:
-            continue  # runs on processors only
         models = sorted({material.model for material in scene.materials.values()})
         for noted in kernels_of(scene):
             if (noted.function.__qualname__, noted.types) in seen:

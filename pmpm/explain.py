@@ -21,10 +21,6 @@ def explain(scene, ranks, backend="cpu"):
     """Text of `pmpm check`: particles, memory per rank, time step, what particles hold, which kernels there are, and what was
     left out; with the backend cuda memory and kernels of the cards too. Raises SceneError."""
     needs, geometry, dt = first_look(scene)
-    if backend == "cuda":
-        from pmpm.scene.needs import refuse_on_cards
-
-        refuse_on_cards(needs)
     counted = estimate.places_to_try(scene) <= estimate.MOST_COUNTED
     counts = rehearse(scene, geometry) if counted else estimate.particles(scene)
     total, ranks = counts.sum(), max(ranks, 1)
@@ -188,7 +184,7 @@ def aligned(rows):
 
 def compiled_kernels(scene, needs, ranks):
     """{law, "walls", "shared": names of the entry kernels that a run calls, hence compiles}."""
-    from pmpm.kernels.build import collider_entries, law_entries, shared_entries, wall_entries
+    from pmpm.kernels.build import collider_entries, contact_entries, law_entries, shared_entries, wall_entries
     from pmpm.scene.needs import grid_geometry
 
     layers = grid_geometry(scene, needs).layers
@@ -197,19 +193,21 @@ def compiled_kernels(scene, needs, ranks):
     found = {label: law_entries(needs, watches_energy(scene)) for label in labels(needs.laws)}
     found["walls"] = wall_entries(needs)
     found["colliders"] = collider_entries(needs)
-    found["shared"] = shared_entries(gravity, damped, cuts, needs.open, needs.contact)
+    found["shared"] = shared_entries(gravity, damped, cuts, needs.open, contact_entries(needs))
     return {who: names for who, names in found.items() if names}
 
 
 def card_kernels(scene, needs, ranks=1):
     """{law, "walls", "nodes", "regroup": names of the kernels that a step or a regroup calls on a card, hence compiles}; see
     kernels.build_cuda."""
+    from pmpm.kernels.build import contact_entries
     from pmpm.kernels.build_cuda import SORTING
 
+    touching = ["p2g_volumes"] if needs.contact else []
     blended = ["p2g_before"] if needs.scheme.blends else []
     averaged = ["p2g_divergence", "measure_divergence"] if needs.f_bar else []
     guarded = ["sum_energies"] if watches_energy(scene) else []
-    found = {label: ["p2g", "g2p", *blended, *averaged, *guarded] for label in labels(needs.laws)}
+    found = {label: ["p2g", "g2p", *blended, *touching, *averaged, *guarded] for label in labels(needs.laws)}
     walls = sorted(needs.wall_types)
     found["walls"] = [f"{part} {name}" for part in ("wall", "image") for name in walls]
     found["colliders"] = [f"collider {name}" for name in needs.collider_types]
@@ -217,7 +215,8 @@ def card_kernels(scene, needs, ranks=1):
         "add_gravity": any(scene.domain.gravity),
         "damp": scene.method.damping > 0.0,
         "sum_images": any(repeats for axis, repeats in enumerate(needs.periodic) if axis != needs.slab_axis),
-        "copy": needs.scheme.blends or needs.f_bar,
+        "copy": needs.scheme.blends or needs.f_bar or needs.contact,
+        **dict.fromkeys(contact_entries(needs), True),
         "impose": bool(scene.motions or scene.inflows),
         "add_received": ranks > 1 or needs.periodic[needs.slab_axis],
         "clear_reals": needs.driven or bool(guarded),

@@ -106,6 +106,28 @@ def in_and_out():
     )
 
 
+def touching():
+    """Two bodies that press on each other beside walls, and one that is bonded to the first."""
+    box = {"type": "box", "min": [0.1, 0.0], "max": [0.4, 0.3]}
+    other = {"type": "box", "min": [0.4, 0.0], "max": [0.8, 0.4]}
+    return Scene(
+        domain={"size": [1.6, 0.8], "cell_size": 0.1, "gravity": [0.0, -9.81], "walls": {"y_min": agreement.FRICTION}},
+        method={"precision": "float64", "transfer": "flip"},
+        time={"end": 1.0},
+        materials={
+            "a": agreement.EXAMPLES["neo_hookean"],
+            "b": agreement.EXAMPLES["fluid"],
+            "c": agreement.EXAMPLES["hencky"],
+        },
+        contact={"friction": 0.3, "together": [["a", "c"]]},
+        bodies=[
+            {"material": "a", "shape": box, "velocity": [0.3, 0.0]},
+            {"material": "b", "shape": other, "velocity": [-0.1, 0.1]},
+            {"material": "c", "shape": {"type": "box", "min": [0.8, 0.0], "max": [1.1, 0.3]}, "velocity": [-0.2, 0.0]},
+        ],
+    )
+
+
 def many():
     """More particles than one tile of the sort holds counts of."""
     return Scene(
@@ -119,6 +141,7 @@ def many():
 
 MANY = "many"
 IN_AND_OUT = "in and out"
+TOUCHING = "in contact"
 FAILING = "driven, failing"
 ON_NODES = "linear, on nodes"
 IN_SPACE = 2, 1, 2  # particles per cell of bodies in 3-D: 200 in all
@@ -130,7 +153,7 @@ SCENES = {
     agreement.label(row): lambda row=row: agreement.scene(row, IN_SPACE)
     for row in agreement.SINGLE + agreement.every_pair.full_product(FACTORS, agreement.allowed)
 } | {"driven": driven, "two tiles, float32": wide, SMALL_TILE: driven, FAILING: driven, MANY: many, ON_NODES: on_nodes}
-SCENES |= {IN_AND_OUT: in_and_out}
+SCENES |= {IN_AND_OUT: in_and_out, TOUCHING: touching}
 
 
 def start(scene, comm, backend):

@@ -24,7 +24,10 @@ WALLS = {
 PER_SCENE = ("add_gravity", "divide_by_mass")
 PER_OPTION = ("damp",)  # likewise, only where a scene asks for them
 PER_CUT = ("add_planes", "add_slots")  # called, hence compiled, only where there are cuts
-PER_CONTACT = ("touch",)  # likewise, only where bodies touch that are not bonded
+PER_CONTACT = (
+    "touch",
+    "mirror_volumes",
+)  # likewise, only where bodies touch that are not bonded, and where there are walls
 PER_OPEN = ("count_beyond", "take_beyond")  # called, hence compiled, only where a face is open
 PER_PLACES = ("count_moves", "take_leaving", "loosen", "permute")
 SORTING = ("cell_order", "cut_segments")
@@ -98,12 +101,15 @@ def collider_entries(needs):
     return [f"collider {name}" for name in needs.collider_types]
 
 
-def shared_entries(gravity, damped, cuts, opened=False, contact=False):
+def contact_entries(needs):
+    return [name for name in PER_CONTACT if needs.contact and (needs.wall_types or name != "mirror_volumes")]
+
+
+def shared_entries(gravity, damped, cuts, opened=False, touching=()):
     """Names of the entries without a law that a run calls: the others are never compiled."""
     per_scene = [name for name in PER_SCENE if gravity or name != "add_gravity"]
     optional = [*(PER_OPTION if damped else ()), *(PER_CUT if cuts else ()), *(PER_OPEN if opened else ())]
-    optional += PER_CONTACT if contact else ()
-    return [*per_scene, *optional, *PER_PLACES, *SORTING, *LAYING_OUT]
+    return [*per_scene, *optional, *touching, *PER_PLACES, *SORTING, *LAYING_OUT]
 
 
 def chosen_loops():
@@ -177,6 +183,7 @@ def scene_choices(needs):
         "momentum_at": loops.momentum_2 if two else loops.momentum_3,
         "vector_in": loops.vector_in_2 if two else loops.vector_in_3,
         "MOMENTS": 1 if two else 3,
+        "BEYOND": stencil.beyond,
     }
 
 
@@ -287,7 +294,7 @@ def entries_of_walls(needs, make, module, scene):
     walls, images = {}, {}
     for name in sorted(set(needs.wall_types) & set(WALLS)):
         wall, image, two_sided = WALLS[name]
-        target = make(**scene, wall=wall, image=image, TWO_SIDED=two_sided, BEYOND=needs.stencil.beyond)
+        target = make(**scene, wall=wall, image=image, TWO_SIDED=two_sided)
         walls[name], images[name] = target.entry(module.apply_wall), target.entry(module.fill_beyond_wall)
     return walls, images
 

@@ -19,7 +19,8 @@ from pmpm.kernels.build import (
 
 THREADS = 128  # of a block of threads: eight blocks of particles
 TILE_BYTES = 24_000  # of shared memory; a block of threads may have 48 kB, with half of it more blocks run at a time
-OF_NODES = ("clear", "copy", "sum_images", "add_received", "add_gravity", "damp", "divide_by_mass", "impose")
+OF_NODES = ("clear", "copy", "sum_images", "add_received", "add_gravity", "damp", "divide_by_mass", "impose",
+            "touch", "mirror_volumes")  # fmt: skip
 SORTING = (
     "find_homes", "pack_leaving", "count_digits", "sum_tiles", "add_totals", "move_by_digit", "find_segments",
     "describe_blocks", "gather_fields", "put_fields", "gather_ids", "put_ids",
@@ -46,13 +47,14 @@ class CudaKernels:
     colliders: dict[str, Any]
     threads: int  # of a block of threads
     p2g_before: tuple[Any, ...] = ()
+    p2g_volumes: tuple[Any, ...] = ()
     p2g_divergence: tuple[Any, ...] = ()
     measure_divergence: tuple[Any, ...] = ()
 
     @property
     def entries(self):
         """{name: kernel}."""
-        per_law = ("p2g", "g2p", "p2g_before", "p2g_divergence", "measure_divergence", "sum_energies")
+        per_law = ("p2g", "g2p", "p2g_before", "p2g_volumes", "p2g_divergence", "measure_divergence", "sum_energies")
         found = {f"{name} {i}": kernel for name in per_law for i, kernel in enumerate(getattr(self, name))}
         found |= {name: getattr(self, name) for name in OF_NUMBERS} | self.nodes | self.sorting
         found |= {f"wall {name}": kernel for name, kernel in self.walls.items()}

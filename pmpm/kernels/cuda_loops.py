@@ -17,8 +17,10 @@ from pmpm.kernels.loops import (
     centre_of,
     collide_at,
     fill_beyond_wall_at,
+    mirror_volumes_at,
     momentum_at,
     node_of_segment,
+    touch_on_node,
     vector_in,
     whole,
 )
@@ -47,7 +49,7 @@ NODES, MIDDLE_NODES = 3, 1
 THREADS = 128  # of a block of threads
 TILED, TILE_REALS, FAR = True, 6000, 1 << 30  # reals of a box in shared memory; fewer in float64
 int32, int64 = np.int32, np.int64
-MLS = BLENDS = F_BAR = FORCED = DRIVEN = SHARED = False
+MLS = BLENDS = F_BAR = FORCED = DRIVEN = SHARED = VOLUMES = False
 V_FIELD, DIVERGENCE_FIELD, SHARE_FIELD, STATE_FIELD = 2, 8, 8, 8
 MASS_COLUMN, VOLUME_COLUMN, DENSITY_COLUMN = loops.MASS_COLUMN, loops.VOLUME_COLUMN, loops.DENSITY_COLUMN
 PARAMETER_COLUMN = loops.PARAMETER_COLUMN
@@ -151,7 +153,9 @@ def p2g(
         if DRIVEN:
             cuda.atomic.add(works, block, work)
         minus_impulse = -(volume0 * dt) * inv_dx
-        if SHARED:
+        if VOLUMES:
+            minus_impulse = counted
+        elif SHARED:
             minus_impulse = -(reals[block, SHARE_FIELD, lane] * volume0 * dt) * inv_dx
         plane, middle, node = reached_row(place, info, block)
         if TILED and 4 * size <= TILE_REALS:
@@ -360,6 +364,20 @@ def apply_wall(nodes, met, first, last, normal, coefficient, velocity):
     i = first + cuda.grid(1)
     if i < last:
         apply_wall_at(nodes, met, i, normal, coefficient, velocity)
+
+
+def mirror_volumes(volumes, met, first, last, normal):
+    """See loops.mirror_volumes."""
+    i = first + cuda.grid(1)
+    if i < last:
+        mirror_volumes_at(volumes, met, i, normal)
+
+
+def touch(nodes, volumes, room, pairs, frictions, first, last):
+    """See loops.touch."""
+    i = first + cuda.grid(1)
+    if i < last:
+        touch_on_node(nodes, volumes, room, pairs, frictions, i)
 
 
 def fill_beyond_wall(nodes, met, first, last, normal, velocity):

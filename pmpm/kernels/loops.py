@@ -337,23 +337,27 @@ def touch(nodes, volumes, room, pairs, frictions, first, last):
     Bodies touch where together they fill `room` (m3) around a node.
     """
     before = flush_denormals()
-    per_room = 1.0 / room
     for i in range(first, last):
-        held, filled = 0, real(0.0)
-        for field in range(volumes.shape[0]):
-            if nodes[field, i, 3] > 0.0:
-                held += 1
-            filled += volumes[field, i, 3]
-        if held > 1 and filled >= room:
-            for pair in range(pairs.shape[0]):
-                a, b = pairs[pair, 0], pairs[pair, 1]
-                if nodes[a, i, 3] > 0.0 and nodes[b, i, 3] > 0.0:
-                    touch_at(nodes[a], nodes[b], volumes[a], volumes[b], i, per_room, frictions[pair])
+        touch_on_node(nodes, volumes, room, pairs, frictions, i)
     restore_denormals(before)
 
 
+def touch_on_node(nodes, volumes, room, pairs, frictions, i):
+    """The same on one node."""
+    held, filled = 0, real(0.0)
+    for field in range(volumes.shape[0]):
+        if nodes[field, i, 3] > 0.0:
+            held += 1
+        filled += volumes[field, i, 3]
+    if held > 1 and filled >= room:
+        for pair in range(pairs.shape[0]):
+            a, b = pairs[pair, 0], pairs[pair, 1]
+            if nodes[a, i, 3] > 0.0 and nodes[b, i, 3] > 0.0:
+                touch_at(nodes[a], nodes[b], volumes[a], volumes[b], i, 1.0 / room, frictions[pair])
+
+
 def touch_at(nodes_a, nodes_b, volumes_a, volumes_b, i, per_room, friction):
-    """The same of one pair on one node."""
+    """The same of one pair."""
     a, b = momentum_at(nodes_a, i), momentum_at(nodes_b, i)
     out_of_a, out_of_b = momentum_at(volumes_a, i), momentum_at(volumes_b, i)
     n = contact.normal_between(la.scale_vector(per_room, out_of_a), la.scale_vector(per_room, out_of_b))
@@ -365,6 +369,31 @@ def touch_at(nodes_a, nodes_b, volumes_a, volumes_b, i, per_room, friction):
 def whole(x):
     """The nearest whole number, or the largest that there is room for."""
     return int(floor(max(-4611686018427387904.0, min(4611686018427387904.0, x)) + 0.5))
+
+
+def mirror_volumes(volumes, met, first, last, normal):
+    """Add what a face mirrors to volumes and gradients: met and first .. last - 1 as in apply_wall."""
+    n = load_normal(normal)
+    for i in range(first, last):
+        mirror_volumes_at(volumes, met, i, n)
+
+
+def mirror_volumes_at(volumes, met, i, n):
+    """The same on one node of a wall and those beyond it: all walls mirror what lies there, whether it sticks or slips."""
+    on = met[i, 0]
+    add_image(volumes, on, on, n)
+    for far in range(BEYOND):
+        beyond, inside = met[i, 1 + 2 * far], met[i, 2 + 2 * far]
+        add_image(volumes, inside, beyond, n)
+        put_vector(volumes, beyond, boundary.image_mirrored(momentum_at(volumes, inside), n))
+        volumes[beyond, 3] = volumes[inside, 3]
+
+
+def add_image(volumes, to, of, n):
+    """A node gains the image of what another one has."""
+    seen = boundary.image_mirrored(momentum_at(volumes, of), n)
+    put_vector(volumes, to, la.add_scaled_vector(momentum_at(volumes, to), 1.0, seen))
+    volumes[to, 3] += volumes[of, 3]
 
 
 def fill_beyond_wall(nodes, met, first, last, normal, velocity):

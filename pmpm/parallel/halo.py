@@ -133,19 +133,27 @@ class Halo:
         self.outgoing += zip(rooms, values, strict=True)
 
     def ready(self, values=None, rooms=None):
-        """Ready the messages. With arrays of cards that the sums lie in and come into, messages hold no more than which nodes
-        there are, and the sums go from card to card."""
+        """Ready the messages. With arrays of cards that the sums lie in and come into, one for each velocity field of each
+        message, messages hold no more than which nodes there are, and the sums go from card to card."""
         incoming = *self.as_earlier, *self.as_later
         sends = [(peer, tag, message.used) for peer, tag, message, _ in (*self.sums, *self.unsummed)]
         receives = [(peer, tag, message.bytes) for peer, tag, message, *_ in incoming]
         if values is not None:
             sends = [(peer, tag, message.head) for peer, tag, message, _ in self.sums]
-            sends += [(peer, self.tags + tag, array) for (peer, tag, *_), array in zip(self.sums, values, strict=True)]
-            receives += [(peer, self.tags + tag, array) for (peer, tag, *_), array in zip(incoming, rooms, strict=True)]
+            sends += self.of_cards(self.sums, values)
+            receives += self.of_cards(incoming, rooms)
         # What goes round a periodic axis to this rank itself is no message.
         to_others = [array.nbytes for peer, _, array in sends if peer != self.comm.rank]
         self.each_time = np.array([len(to_others), sum(to_others)])
         self.exchange = self.comm.exchange(sends, receives)
+
+    def of_cards(self, messages, arrays):
+        """(peer, tag, array) of each velocity field of messages that go from card to card."""
+        return [
+            (peer, (1 + field) * self.tags + tag, array)
+            for (peer, tag, *_), of_fields in zip(messages, arrays, strict=True)
+            for field, array in enumerate(of_fields)
+        ]
 
     def warm_up(self):
         """Load the kernels without touching anything."""

@@ -89,6 +89,8 @@ class Cpu:
         for wall, image in zip(kernels.walls.values(), kernels.images.values(), strict=True):
             wall(self.patch.nodes[0], met, 0, 0, normal, none, normal)
             image(self.patch.nodes[0], met, 0, 0, normal, normal)
+        if "mirror_volumes" in build.contact_entries(needs):
+            kernels.mirror_volumes(self.patch.nodes[0], met, 0, 0, normal)
 
     def take_particles(self):
         """Take note that the simulation holds other particles, or has ordered them anew."""
@@ -317,7 +319,7 @@ class Cpu:
             for images in patch.images:
                 images.sum(volumes, 0, patch.planes)
             for wall in self.simulation.walls:
-                wall.mirror(volumes)
+                self.kernels.mirror_volumes(volumes, wall.met, 0, len(wall.met), wall.normal)
 
     def keep_nodes(self):
         """Put the velocities on the nodes aside."""

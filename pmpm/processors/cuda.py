@@ -19,7 +19,6 @@ from pmpm.parallel.halo import node_numbers, zeros
 from pmpm.parallel.parts import Crew
 from pmpm.processors.on_card import OnCard
 from pmpm.scene.errors import SceneError
-from pmpm.scene.needs import refuse_on_cards
 from pmpm.state.derived import PARAMETERS
 from pmpm.state.memory import Scratch
 from pmpm.state.particles import LANES
@@ -37,7 +36,6 @@ class Cuda:
     tiled = True  # whether P2G sums in shared memory first
 
     def __init__(self, simulation):
-        refuse_on_cards(simulation.needs)
         self.simulation, self.crew, self.real = simulation, Crew(1), simulation.real
         counts = [table.shape[1] - PARAMETERS for table in simulation.tables]
         most = max(FIELD_TUPLES)
@@ -55,6 +53,10 @@ class Cuda:
         self.given = 0
         self.direct = simulation.comm.reaches_cards()
         laws = len(simulation.needs.laws)
+        self.fields = [law.velocity_field for law in simulation.needs.laws]
+        self.of_all_fields: dict[
+            str, Any
+        ] = {}  # arrays of nodes (fields, nodes, 4) by name; of each field a view is kept, too
         self.tables = [self.card.to_device(with_last_axis(table.astype(self.real))) for table in simulation.tables]
         self.limits, self.ends = self.card.to_device(simulation.limits), self.card.to_device(simulation.ends)
         self.maxima = self.card.device_array(MAXIMA, self.real)
@@ -204,6 +206,7 @@ class Cuda:
         self.before = self.room("before") if patch.blends else self.nodes
         self.divergences = self.room("divergences") if patch.f_bar else self.nodes
         self.velocities = self.room("velocities") if patch.f_bar else self.nodes
+        self.volumes = self.room("volumes") if patch.fields > 1 else self.nodes
         self.met = [self.kept(("met", n), wall.met) for n, wall in enumerate(simulation.walls)]
         self.images = [
             (self.kept(("low", n), images.low), self.kept(("high", n), images.high))
@@ -212,8 +215,10 @@ class Cuda:
         self.take_messages()
 
     def room(self, name):
-        """(nodes, 4) reals, kept under this name; larger ones take the place of smaller ones."""
-        return self.memory.array(name, (max(4 * self.patch.quads, 4), 4), self.real)
+        """(nodes, 4) reals of each velocity field, kept under this name; larger ones take the place of smaller ones."""
+        size, fields = max(4 * self.patch.quads, 4), self.patch.fields
+        self.of_all_fields[name] = array = self.memory.array(name, (fields, size, 4), self.real)
+        return [array[field] for field in range(fields)]
 
     # ---- shared planes ----
 
@@ -221,20 +226,24 @@ class Cuda:
         """Take note of which nodes the halo sends, and where what comes will lie."""
         halo, patch = self.simulation.halo, self.patch
         self.outgoing = []  # (what the card sends, where in the host it goes)
-        for (_, _, message, low), (values, _) in zip(halo.sums, halo.outgoing, strict=True):
+        sent = []  # of each message what the card sends, by velocity field
+        rooms = iter(halo.outgoing)
+        for _, _, message, low in halo.sums:
             first, last = 4 * patch.plane_start[low], 4 * patch.plane_start[low + message.planes]
-            if first < last:
-                self.outgoing.append((self.nodes[first:last], values.reshape(-1, 4)))
-            elif self.direct:
-                self.outgoing.append((self.nodes[:0], None))
+            sent.append([nodes[first:last] if first < last else nodes[:0] for nodes in self.nodes])
+            self.outgoing += [(there, next(rooms)[0]) for there in sent[-1] if first < last or self.direct]
         self.incoming = [
-            Incoming(message, planes, self.memory.array(("incoming", n), (max(message.most, 1), 4), self.real))
+            Incoming(message, planes, [self.incoming_room(n, field, message) for field in range(patch.fields)])
             for n, (_, _, message, planes, _) in enumerate((*halo.as_earlier, *halo.as_later))
         ]
         if self.direct:
             halo.ready(
-                [for_mpi(there) for there, _ in self.outgoing], [for_mpi(incoming.values) for incoming in self.incoming]
+                [list(map(for_mpi, of_fields)) for of_fields in sent],
+                [list(map(for_mpi, incoming.values)) for incoming in self.incoming],
             )
+
+    def incoming_room(self, number, field, message):
+        return self.memory.array(("incoming", number, field), (max(message.most, 1), 4), self.real)
 
     def give_shared(self):
         """Begin to bring the sums of the shared planes to the halo's messages, behind what has been asked for so far."""
@@ -256,16 +265,16 @@ class Cuda:
                 incoming.numbers = self.kept(("numbers", number), incoming.numbers_in(self.patch), np.int64)
                 incoming.copy = incoming.ends()
             if incoming.count and not self.direct:
-                here, there = incoming.copy
-                there.copy_to_device(here, stream=self.copies)
+                for here, there in incoming.copy:
+                    there.copy_to_device(here, stream=self.copies)
         if not self.direct:
             self.arrived.record(self.copies)
             self.arrived.wait(self.stream)
         for incoming in self.incoming:
-            self.launch(
-                self.on_card.nodes["add_received"], incoming.count, self.nodes, incoming.values, incoming.numbers,
-                incoming.count,
-            )  # fmt: skip
+            for nodes, values in zip(self.nodes, incoming.values, strict=True):
+                self.launch(
+                    self.on_card.nodes["add_received"], incoming.count, nodes, values, incoming.numbers, incoming.count
+                )
 
     # ---- a step ----
 
@@ -279,17 +288,19 @@ class Cuda:
     def clear(self):
         """No impulse and no mass on any node."""
         last = 4 * self.patch.quads
-        self.launch(self.on_card.nodes["clear"], last, self.nodes, last)
+        for nodes in self.nodes:
+            self.launch(self.on_card.nodes["clear"], last, nodes, last)
 
     def p2g(self, parts, dt, phase):
-        """Particles to nodes, by the kernels of a phase: p2g, p2g_before or p2g_divergence. Returns 0: runs are not counted."""
+        """Particles to nodes, by the kernels of a phase, see processors.cpu. Returns 0: runs are not counted."""
         simulation = self.simulation
         for layers in parts:
-            for kernel, p, table in zip(getattr(self.on_card, phase), self.particles, self.tables, strict=True):
+            of_laws = zip(getattr(self.on_card, phase), self.particles, self.tables, self.fields, strict=True)
+            for kernel, p, table, field in of_laws:
                 first, last = p.blocks_of(layers)
                 self.launch(
                     kernel, LANES * (last - first), p.reals, p.places, p.info, first, last, table, self.row_start,
-                    self.span_ends, self.span_offsets, self.patch.rows, self.nodes, self.maxima, p.works, self.real(dt),
+                    self.span_ends, self.span_offsets, self.patch.rows, self.nodes[field], self.maxima, p.works, self.real(dt),
                     simulation.dx, simulation.inv_dx, simulation.first_layer, self.real(simulation.time),
                     simulation.drive.factor,
                 )  # fmt: skip
@@ -300,17 +311,35 @@ class Cuda:
 
     def update(self, first, last, dt):
         """Momentum to velocity on planes first .. last - 1 of the patch, with gravity, damping, walls and regions."""
-        patch, drive, nodes = self.patch, self.simulation.drive, self.nodes
+        patch, drive = self.patch, self.simulation.drive
         here = 4 * int(patch.plane_start[first]), 4 * int(patch.plane_start[last])
         count = here[1] - here[0]
-        self.sum_images(first, last)
-        if drive.has_gravity:
-            gain = drive.gravity_gain(dt)[: self.simulation.dim]
-            self.launch(self.on_card.nodes["add_gravity"], count, nodes, *here, tuple(gain))
-        if drive.damping > 0.0:
-            self.launch(self.on_card.nodes["damp"], count, nodes, *here, drive.kept(dt)[0])
+        for nodes in self.nodes:
+            self.sum_images(nodes, first, last)
+            if drive.has_gravity:
+                gain = drive.gravity_gain(dt)[: self.simulation.dim]
+                self.launch(self.on_card.nodes["add_gravity"], count, nodes, *here, tuple(gain))
+            if drive.damping > 0.0:
+                self.launch(self.on_card.nodes["damp"], count, nodes, *here, drive.kept(dt)[0])
+        if patch.fields > 1:
+            self.touch(here)
+        for nodes in self.nodes:
+            self.hold(nodes, first, last, here)
+
+    def touch(self, here):
+        """What bodies of different velocity fields do to each other on nodes here[0] .. here[1] - 1."""
+        touching, arrays = self.simulation.drive.touching, self.of_all_fields
+        pairs, frictions = self.kept("pairs", touching.pairs), self.kept("frictions", touching.frictions)
+        self.launch(
+            self.on_card.nodes["touch"], here[1] - here[0], arrays["nodes"], arrays["volumes"], touching.room, pairs, frictions,
+            *here,
+        )  # fmt: skip
+
+    def hold(self, nodes, first, last, here):
+        """Momentum to velocity of one field on planes first .. last - 1: what colliders, walls and regions make of it."""
+        drive, count = self.simulation.drive, here[1] - here[0]
         for obstacle in drive.obstacles:
-            self.collide(obstacle, *drive.contact(obstacle).between(first, last))
+            self.collide(obstacle, nodes, *drive.contact(obstacle).between(first, last))
         walls = [
             (wall, met, wall.between(first, last)) for wall, met in zip(self.simulation.walls, self.met, strict=True)
         ]
@@ -329,7 +358,7 @@ class Cuda:
                 kernel = self.on_card.nodes["impose"]
                 self.launch(kernel, len(number), nodes, there, len(number), velocity, region.whole)
 
-    def collide(self, obstacle, first, last):
+    def collide(self, obstacle, nodes, first, last):
         """What the surface of a collider does to the momenta of some of its nodes."""
         contact = obstacle.contact
         if contact.on_card is None:
@@ -339,26 +368,27 @@ class Cuda:
             self.given_to[obstacle.name] = self.card.to_device(np.zeros(obstacle.parts, np.int64))
         numbers, normals, velocities, arms, counted = contact.on_card
         self.launch(
-            self.on_card.colliders[obstacle.type], last - first, self.nodes, numbers, first, last, normals, velocities, arms,
+            self.on_card.colliders[obstacle.type], last - first, nodes, numbers, first, last, normals, velocities, arms,
             counted, obstacle.coefficient, obstacle.per_unit, obstacle.per_reach, self.given_to[obstacle.name],
         )  # fmt: skip
 
-    def sum_images(self, first, last):
+    def sum_images(self, nodes, first, last):
         for (low, high), images in zip(self.images, self.patch.images, strict=True):
             begin, end = int(images.plane_start[first]), int(images.plane_start[last])
-            self.launch(self.on_card.nodes["sum_images"], end - begin, self.nodes, low, high, begin, end)
+            self.launch(self.on_card.nodes["sum_images"], end - begin, nodes, low, high, begin, end)
 
     def g2p(self, parts, dt):
         """Nodes to particles."""
         simulation = self.simulation
         for law, (kernel, p, table) in enumerate(zip(self.on_card.g2p, self.particles, self.tables, strict=True)):
+            field = self.fields[law]
             for layers in parts:
                 first, last = p.blocks_of(layers)
                 self.launch(
                     kernel, LANES * (last - first), p.reals, p.places, p.info, first, last, table, self.row_start,
-                    self.span_ends, self.span_offsets, self.patch.rows, self.nodes, self.before, simulation.blend,
-                    self.divergences, self.limits, self.ends, dt, simulation.inv_dx, simulation.first_layer, self.maxima,
-                    self.failure, law,
+                    self.span_ends, self.span_offsets, self.patch.rows, self.nodes[field], self.before[field],
+                    simulation.blend, self.divergences[field], self.limits, self.ends, dt, simulation.inv_dx,
+                    simulation.first_layer, self.maxima, self.failure, law,
                 )  # fmt: skip
         self.holds_newest = True
 
@@ -395,19 +425,29 @@ class Cuda:
     def measure_divergence(self, parts):
         """Of the velocities on the nodes, at the particles."""
         for layers in parts:
-            for kernel, p in zip(self.on_card.measure_divergence, self.particles, strict=True):
+            for kernel, p, field in zip(self.on_card.measure_divergence, self.particles, self.fields, strict=True):
                 first, last = p.blocks_of(layers)
                 self.launch(
                     kernel, LANES * (last - first), p.reals, p.places, p.info, first, last, self.row_start, self.span_ends,
-                    self.span_offsets, self.patch.rows, self.nodes, self.simulation.inv_dx,
+                    self.span_offsets, self.patch.rows, self.nodes[field], self.simulation.inv_dx,
                 )  # fmt: skip
 
     def average(self, name):
         """Divide the sums on the nodes by their mass, or volume, and keep what comes out under this name."""
         last = 4 * self.patch.quads
-        self.sum_images(0, self.patch.planes)
-        self.launch(self.on_card.nodes["divide_by_mass"], last, self.nodes, 0, last)
+        for nodes in self.nodes:
+            self.sum_images(nodes, 0, self.patch.planes)
+            self.launch(self.on_card.nodes["divide_by_mass"], last, nodes, 0, last)
         self.copy(self.nodes, getattr(self, name))
+
+    def keep_volumes(self):
+        """Keep the sums of volumes and their gradients on the nodes, with what walls mirror."""
+        self.copy(self.nodes, self.volumes)
+        for volumes in self.volumes:
+            self.sum_images(volumes, 0, self.patch.planes)
+            for wall, met in zip(self.simulation.walls, self.met, strict=True):
+                count, normal = len(wall.met), tuple(wall.normal)
+                self.launch(self.on_card.nodes["mirror_volumes"], count, volumes, met, 0, count, normal)
 
     def keep_nodes(self):
         """Put the velocities on the nodes aside."""
@@ -419,7 +459,8 @@ class Cuda:
 
     def copy(self, source, values):
         last = 4 * self.patch.quads
-        self.launch(self.on_card.nodes["copy"], last, source, values, last)
+        for one, other in zip(source, values, strict=True):
+            self.launch(self.on_card.nodes["copy"], last, one, other, last)
 
     def energies(self, layers):
         """(layers, 3) J kinetic, strain and potential energy of this rank's particles in so many of its layers."""
@@ -441,7 +482,7 @@ class Cuda:
 
 class Incoming:
     """A message's nodes on their way into a patch: `numbers` of the patch's nodes that they belong to, -1 for none; `values`:
-    room for them; both on the card."""
+    room for them, of each velocity field; both on the card."""
 
     def __init__(self, message, planes, values):
         self.message, self.planes, self.values = message, planes, values
@@ -455,9 +496,10 @@ class Incoming:
         return changed
 
     def ends(self):
-        """(where the message has the sums, where they go on the card)."""
-        first = self.message.told()
-        return self.message.reals[first : first + 4 * self.count].reshape(-1, 4), self.values[: self.count]
+        """[(where the message has the sums, where they go on the card)], of each velocity field."""
+        firsts = [self.message.told(field) for field in range(len(self.values))]
+        here = [self.message.reals[first : first + 4 * self.count].reshape(-1, 4) for first in firsts]
+        return [(reals, values[: self.count]) for reals, values in zip(here, self.values, strict=True)]
 
     def numbers_in(self, patch):
         """Numbers of the nodes in a patch."""

@@ -61,12 +61,6 @@ def scene_needs(scene):
     )
 
 
-def refuse_on_cards(needs):
-    """Raise SceneError for what only processors do."""
-    if needs.contact:
-        raise SceneError("scene: contact: runs on processors only, not with backend cuda")
-
-
 def open_faces(scene):
     """(dim, 2) bool: which faces particles leave through, by axis and end."""
     walls = scene.domain.walls
@@ -188,16 +182,6 @@ class PatchWall:
                 )
         self.met = np.stack(columns, axis=1)
         self.plane_start = np.searchsorted(on[0], np.arange(patch.planes + 1))
-
-    def mirror(self, volumes):
-        """Add to the volumes (n, 4) of nodes, and their gradients, what the face mirrors."""
-        image, on = np.ones(4, volumes.dtype), self.met[:, 0]
-        image[np.flatnonzero(self.normal)] = -1.0
-        volumes[on] += image * volumes[on]
-        for far in range(1, self.met.shape[1], 2):
-            beyond, inside = self.met[:, far], self.met[:, far + 1]
-            volumes[inside] += image * volumes[beyond]
-            volumes[beyond] = image * volumes[inside]
 
     def between(self, first_plane, last_plane):
         """Which of what is met lies on planes first_plane .. last_plane - 1: (first, last + 1)."""

@@ -26,8 +26,11 @@ def block(model, dim=3, **changes):
         domain=domain,
         method=method,
         time={"end": 1.0},
-        materials={"m": law_examples.EXAMPLES[model]},
-        bodies=[{"material": "m", "shape": {"type": "box", "min": [0.2] * dim, "max": [0.5] * dim}}],
+        materials=dict.fromkeys(("m", "n"), law_examples.EXAMPLES[model]),
+        bodies=[
+            {"material": "m", "shape": {"type": "box", "min": [0.2] * dim, "max": [0.5] * dim}},
+            {"material": "n", "shape": {"type": "box", "min": [0.5] * dim, "max": [0.6] * dim}},
+        ],
         **changes,
     )
 
@@ -37,11 +40,14 @@ def block(model, dim=3, **changes):
 def test_kernels_in_float32_have_no_double_arithmetic_no_stack_and_spill_nothing(law, dim, capability):
     ball = {"shape": {"type": "sphere", "center": [0.3] * dim, "radius": 0.1}}
     rubbing = ball | {"surface": {"type": "friction", "coefficient": 0.3}}
-    noted = kernels_of(block(LAWS[law], dim, colliders=[rubbing]))
+    noted = kernels_of(block(LAWS[law], dim, colliders=[rubbing], contact={"friction": 0.3}))
     found = {kernel.name: assembler.assemble(kernel.ptx(capability), capability) for kernel in noted}
     assert {
         "p2g 0",
         "g2p 0",
+        "p2g_volumes 0",
+        "touch",
+        "mirror_volumes",
         "collider friction",
         "mark",
         "sum_energies 0",
@@ -69,6 +75,11 @@ CASES = {
     "f-bar, damped": {"method": {"transfer": "apic", "f_bar": True, "damping": 1.0}},
     "no gravity, stick": {"domain": {"gravity": [0.0, 0.0], "walls": {"y_min": "stick"}}},
     "colliders": {"colliders": [{"shape": {"type": "sphere", "center": [0.3, 0.3], "radius": 0.1}}]},
+    "contact": {"contact": {"friction": 0.3}},
+    "contact, no wall": {
+        "contact": {},
+        "domain": {"walls": dict.fromkeys(("x_min", "x_max", "y_min", "y_max"), "free")},
+    },
     "driven": {"motions": [{"shape": {"type": "box", "min": [0.0, 0.0], "max": [0.8, 0.2]}, "velocity": [0.0, 0.0]}]},
 }
 
