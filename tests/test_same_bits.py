@@ -70,7 +70,6 @@ OTHER_SCENES = {
     "slabs across y": several_laws.tall(),
     "contact, periodic slab axis, 2-D": several_laws.flat(contact=FRICTION),
     "contact, periodic slab axis, 3-D, float32": several_laws.deep(precision="float32", contact=FRICTION),
-    "contact, slabs across y": several_laws.tall(contact=FRICTION),
 }
 
 
