@@ -227,11 +227,12 @@ class Cuda:
         halo, patch = self.simulation.halo, self.patch
         self.outgoing = []  # (what the card sends, where in the host it goes)
         sent = []  # of each message what the card sends, by velocity field
-        rooms = iter(halo.outgoing)
-        for _, _, message, low in halo.sums:
+        for number, (_, _, message, low) in enumerate(halo.sums):
             first, last = 4 * patch.plane_start[low], 4 * patch.plane_start[low + message.planes]
             sent.append([nodes[first:last] if first < last else nodes[:0] for nodes in self.nodes])
-            self.outgoing += [(there, next(rooms)[0]) for there in sent[-1] if first < last or self.direct]
+            rooms = [room for room, _ in halo.outgoing[number * patch.fields : (number + 1) * patch.fields]]
+            if first < last or self.direct:
+                self.outgoing += zip(sent[-1], rooms, strict=True)
         self.incoming = [
             Incoming(message, planes, [self.incoming_room(n, field, message) for field in range(patch.fields)])
             for n, (_, _, message, planes, _) in enumerate((*halo.as_earlier, *halo.as_later))
