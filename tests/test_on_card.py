@@ -5,6 +5,8 @@ The simulator decides at import, so that each run has processes of its own. test
 """
 
 import json
+import os
+from concurrent.futures import ThreadPoolExecutor
 
 import fast_and_scalar as agreement
 import launch
@@ -45,9 +47,20 @@ def check(found):
     assert found["energies"] <= HEARD["float32" not in found["row"]], found["row"]
 
 
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory):
+    """Of each part of the rows, what will be found: as many at a time as there are cores, for the simulator uses one."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        waiting = [
+            pool.submit(on_card, ROWS[part::PARTS], tmp_path_factory.mktemp(f"part_{part}")) for part in range(PARTS)
+        ]
+        yield waiting
+        pool.shutdown(cancel_futures=True)
+
+
 @pytest.mark.parametrize("part", range(PARTS))
-def test_card_and_processor_agree_to_round_off_after_some_steps(part, tmp_path):
-    for row in on_card(ROWS[part::PARTS], tmp_path):
+def test_card_and_processor_agree_to_round_off_after_some_steps(part, parts):
+    for row in parts[part].result():
         check(row)
 
 
