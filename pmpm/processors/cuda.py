@@ -225,7 +225,7 @@ class Cuda:
     def take_messages(self):
         """Take note of which nodes the halo sends, and where what comes will lie."""
         halo, patch = self.simulation.halo, self.patch
-        self.outgoing = []  # (what the card sends, where in the host it goes)
+        self.outgoing: list[tuple[Any, Any]] = []  # (what the card sends, where in the host it goes)
         sent = []  # of each message what the card sends, by velocity field
         for number, (_, _, message, low) in enumerate(halo.sums):
             first, last = 4 * patch.plane_start[low], 4 * patch.plane_start[low + message.planes]
