@@ -191,8 +191,7 @@ class GridFields:
 def grid_fields(scene):
     """What the fields on nodes of a scene take: sums in float64, of each field and of the mass that has it, and twice what goes
     into the file, for the order of its rows."""
-    axes = zip("xyz"[: scene.dim], scene.cells, strict=True)
-    nodes = tuple(cells + (axis not in scene.domain.periodic) for axis, cells in axes)
+    nodes = scene.domain.nodes
     sizes = {field.name: OUTPUT_SIZE[field.kind] for field in OUTPUT}
     for material in scene.materials.values():
         own = law_of(material.model).state_fields(material.parameters)

@@ -79,11 +79,6 @@ def behind(simulation):
     return [axis for axis in reversed(range(simulation.dim)) if axis != slab]
 
 
-def node_counts(geometry):
-    """Nodes of each axis in the domain; of those that are one node on a periodic axis the first."""
-    return tuple(cells + (not repeats) for cells, repeats in zip(geometry.cells, geometry.periodic, strict=True))
-
-
 def has_mirror(simulation, axis):
     """Whether there is a wall that holds material at either end of an axis."""
     domain = simulation.scene.domain
@@ -98,7 +93,7 @@ def node_volumes(simulation, planes):
     geometry, slab = simulation.geometry, simulation.geometry.axes[0]
     found = np.array(geometry.cell_size**geometry.dim)
     for axis in (slab, *behind(simulation)):
-        sides = np.ones(node_counts(geometry)[axis])
+        sides = np.ones(simulation.scene.domain.nodes[axis])
         low, high = has_mirror(simulation, axis)
         sides[0], sides[-1] = (0.5 if low else sides[0]), (0.5 if high else sides[-1])
         found = found[..., None] * (sides[owned(simulation)[0] :][:planes] if axis == slab else sides)
@@ -121,7 +116,7 @@ def owned(simulation):
     """(first, last + 1) of the planes whose sums this rank has in the end: those that its layers are the last to reach."""
     stencil, slabs, rank = simulation.needs.stencil, simulation.slabs, simulation.comm.rank
     first, last = slabs.owned(rank)
-    planes = node_counts(simulation.geometry)[simulation.geometry.axes[0]]
+    planes = simulation.scene.domain.nodes[simulation.geometry.axes[0]]
     if rank >= slabs.active:
         return planes, planes
     begin = first - stencil.reach_low if rank > 0 else 0
@@ -185,7 +180,7 @@ class Sums:
 
     def __init__(self, simulation, columns, first, last):
         self.simulation, self.columns = simulation, columns
-        stencil, counts = simulation.needs.stencil, node_counts(simulation.geometry)
+        stencil, counts = simulation.needs.stencil, simulation.scene.domain.nodes
         self.low = first - stencil.reach_low
         shape = last - first + stencil.reach_low + stencil.reach_high, *(counts[axis] for axis in behind(simulation))
         self.size = int(np.prod(shape))
@@ -237,7 +232,7 @@ class Sums:
     def weights(self, node, part):
         """(index (n, nodes), weights (n, nodes)) of what particles reach, by the node below (n, dim) and the part of a cell."""
         geometry, axes = self.simulation.geometry, [self.simulation.geometry.axes[0], *behind(self.simulation)]
-        stencil, counts = geometry.stencil, node_counts(geometry)
+        stencil, counts = geometry.stencil, self.simulation.scene.domain.nodes
         along = []
         for axis in axes:
             centre = node[:, axis] + (part[:, axis] >= 1.0 - stencil.round)

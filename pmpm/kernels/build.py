@@ -24,10 +24,7 @@ WALLS = {
 PER_SCENE = ("add_gravity", "divide_by_mass")
 PER_OPTION = ("damp",)  # likewise, only where a scene asks for them
 PER_CUT = ("add_planes", "add_slots")  # called, hence compiled, only where there are cuts
-PER_CONTACT = (
-    "touch",
-    "mirror_volumes",
-)  # likewise, only where bodies touch that are not bonded, and where there are walls
+PER_CONTACT = ("touch", "mirror_volumes")  # likewise, only where bodies may part, the other one where there are walls
 PER_OPEN = ("count_beyond", "take_beyond")  # called, hence compiled, only where a face is open
 PER_PLACES = ("count_moves", "take_leaving", "loosen", "permute")
 SORTING = ("cell_order", "cut_segments")

@@ -42,8 +42,8 @@ class GridWriter:
         """Write the fields that go with the snapshot of this number. Collective; OutputError on all ranks if any rank fails."""
         path = self.directory.path / GRIDS / f"{number:06d}.hdf"
         pieces = {f"{POINTS}/{name}": rows for name, rows in self.fields_of(simulation, self.names).items()}
-        nodes = node_counts(self.scene)
-        attributes = grid_attributes(self.scene, nodes, simulation)
+        nodes = self.scene.domain.nodes
+        attributes = grid_attributes(self.scene, simulation)
         if "mass" in self.names:
             attributes[f"{POINTS}/mass"] = {"unit": "kg"}
         shapes, _ = write_datasets(self.comm, path, pieces, attributes, self.parallel)
@@ -55,15 +55,9 @@ class GridWriter:
         on_rank_zero(self.comm, lambda: write_atomically(self.directory.path / GRID_INDEX, text))
 
 
-def node_counts(scene):
-    """Nodes of each axis; those at both ends of a periodic axis are one."""
-    return tuple(
-        cells + (axis not in scene.domain.periodic) for axis, cells in zip("xyz"[: scene.dim], scene.cells, strict=True)
-    )
-
-
-def grid_attributes(scene, nodes, simulation):
+def grid_attributes(scene, simulation):
     """Attributes of the file's groups: what VTK needs to place the nodes, and what pmpm reads."""
+    nodes = scene.domain.nodes
     extent = [number for count in (*nodes, 1)[:3] for number in (0, count - 1)]
     image = {
         "Version": np.array([1, 0], np.int64),

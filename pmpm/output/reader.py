@@ -11,6 +11,7 @@ import zipfile
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -162,19 +163,13 @@ class Snapshots(Sequence):
         return self.kind(self.files[index])
 
 
-class Snapshot:
-    """One snapshot file. Fields are attributes, read when asked for: `snapshot.x`, `snapshot.pressure`."""
+class AtOneTime:
+    """A file of one time of a run; `attributes` are what it says of itself."""
+
+    attributes: Any
 
     def __init__(self, path):
         self.path = Path(path)
-
-    @cached_property
-    def attributes(self):
-        """What the file says of itself: time, step, dt, title, dim, precision, materials."""
-        with reading(self.path) as file:
-            told = {name: plain_attribute(value) for name, value in file["pmpm"].attrs.items()}
-            check_attributes(told)
-            return told
 
     @property
     def time(self):
@@ -185,6 +180,21 @@ class Snapshot:
     def step(self):
         """Number of steps taken before it."""
         return self.attributes["step"]
+
+    def __repr__(self):
+        return f"{type(self).__name__}({str(self.path)!r})"
+
+
+class Snapshot(AtOneTime):
+    """One snapshot file. Fields are attributes, read when asked for: `snapshot.x`, `snapshot.pressure`."""
+
+    @cached_property
+    def attributes(self):
+        """What the file says of itself: time, step, dt, title, dim, precision, materials."""
+        with reading(self.path) as file:
+            told = {name: plain_attribute(value) for name, value in file["pmpm"].attrs.items()}
+            check_attributes(told)
+            return told
 
     @property
     def collider_places(self):
@@ -230,32 +240,16 @@ class Snapshot:
             known = ", ".join(sorted(held))
         raise AttributeError(f"snapshot {self.path} holds no {name!r}; it holds x, {known}")
 
-    def __repr__(self):
-        return f"Snapshot({str(self.path)!r})"
 
-
-class GridFields:
+class GridFields(AtOneTime):
     """Fields on the nodes of the grid at one time. They are attributes, read when asked for: `grid.pressure`, (nodes along x,
     along y, ...)."""
-
-    def __init__(self, path):
-        self.path = Path(path)
 
     @cached_property
     def attributes(self):
         """What the file says of itself: time (s), step, dim, nodes of each axis, cell_size (m)."""
         with reading_grid(self.path) as (_, told):
             return told
-
-    @property
-    def time(self):
-        """Simulated time in s."""
-        return self.attributes["time"]
-
-    @property
-    def step(self):
-        """Number of steps taken before it."""
-        return self.attributes["step"]
 
     @property
     def x(self):
@@ -281,25 +275,17 @@ class GridFields:
             known = ", ".join(sorted(held))
         raise AttributeError(f"{self.path} holds no {name!r} on nodes; it holds {known}")
 
-    def __repr__(self):
-        return f"GridFields({str(self.path)!r})"
-
 
 @contextlib.contextmanager
 def reading_grid(path):
     """(open file of fields on nodes, what it says of itself); whatever does not fit, or cannot be read, raises OutputError."""
-    import h5py
-
-    try:
-        with h5py.File(path, "r") as file:
-            version = plain_attribute(file["pmpm"].attrs["format_version"])
-            if version != FORMAT_VERSION:
-                raise OutputError(f"{path} has grid format_version {version}; this pmpm reads {FORMAT_VERSION}")
+    with opened(path, "grid", holds_nodes) as file:
+        try:
             told = {name: plain_attribute(value) for name, value in file["pmpm"].attrs.items()}
             check_nodes(file, told)
             yield file, told
-    except DAMAGES as error:
-        raise OutputError(damage(path, error)) from error
+        except DAMAGES as error:
+            raise OutputError(damage(path, error)) from error
 
 
 def check_nodes(file, told):
@@ -324,21 +310,35 @@ def is_grid(path):
 
     try:
         with h5py.File(path, "r") as file:
-            return "pmpm" in file and "nodes" in file["pmpm"].attrs
+            return holds_nodes(file)
     except DAMAGES:
         return False
 
 
+def holds_particles(file):
+    return "pmpm" in file and "VTKHDF/Points" in file
+
+
+def holds_nodes(file):
+    return "pmpm" in file and "nodes" in file["pmpm"].attrs
+
+
 def open_snapshot(path):
     """An open h5py file that is a snapshot of this format version; OutputError for anything else."""
+    return opened(path, "snapshot", holds_particles)
+
+
+def opened(path, kind, is_one):
+    """An open h5py file of a kind, which `is_one` knows by what it holds, in this format version; OutputError for anything
+    else."""
     import h5py
 
     try:
         file = h5py.File(path, "r")
     except (OSError, ValueError, RuntimeError) as error:
-        raise OutputError(f"{path} cannot be read as a snapshot: {error}") from error
+        raise OutputError(f"{path} cannot be read as a {kind}: {error}") from error
     try:
-        check_version(file, path)
+        check_version(file, path, kind, is_one)
     except DAMAGES as error:
         file.close()
         raise OutputError(damage(path, error)) from error
@@ -363,15 +363,13 @@ def damage(path, error):
     return f"{path} is damaged: {' '.join(str(error).split()) or type(error).__name__}"
 
 
-def check_version(file, path):
-    """Raise OutputError for an HDF5 file that is no snapshot, or one of another version."""
-    version = None
-    if "pmpm" in file and "VTKHDF/Points" in file:
-        version = plain_attribute(file["pmpm"].attrs.get("format_version"))
+def check_version(file, path, kind, is_one):
+    """Raise OutputError for an HDF5 file that is not of a kind, or of another version."""
+    version = plain_attribute(file["pmpm"].attrs.get("format_version")) if is_one(file) else None
     if version is None:
-        raise OutputError(f"{path} is an HDF5 file but not a snapshot of pmpm")
+        raise OutputError(f"{path} is an HDF5 file but not a {kind} of pmpm")
     if version != FORMAT_VERSION:
-        raise OutputError(f"{path} has snapshot format_version {version}; this pmpm reads {FORMAT_VERSION}")
+        raise OutputError(f"{path} has {kind} format_version {version}; this pmpm reads {FORMAT_VERSION}")
 
 
 def check_layout(file):

@@ -264,11 +264,13 @@ class Collider(Part):
 
     def center(self, size: tuple[float, ...], periods: tuple[float, ...]) -> np.ndarray:
         """Return the point (dim,) m that it turns about: its pivot, or the middle of what lies in a domain of this size."""
-        if self.pivot is not None:
-            return np.array(self.pivot)
-        low, high = self.bounds(len(size))
-        whole = np.isfinite(self.repeats(periods))
-        return 0.5 * (np.where(whole, low, np.maximum(low, 0.0)) + np.where(whole, high, np.minimum(high, size)))
+        low, high = self.within(size, periods)
+        return 0.5 * (low + high) if self.pivot is None else np.array(self.pivot)
+
+    def within(self, size: tuple[float, ...], periods: tuple[float, ...]) -> Bounds:
+        """Return corners (low, high), (dim,) m, of what lies in a domain of this size: all of it where it comes in again."""
+        (low, high), whole = self.bounds(len(size)), np.isfinite(self.repeats(periods))
+        return np.where(whole, low, np.maximum(low, 0.0)), np.where(whole, high, np.minimum(high, size))
 
     @field_serializer("velocity", "angular_velocity", "distance")
     def recorded_function(self, value: Any) -> Any:

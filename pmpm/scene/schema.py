@@ -121,6 +121,11 @@ class Domain(Part):
         return tuple(round(length / self.cell_size) for length in self.size)
 
     @property
+    def nodes(self) -> tuple[int, ...]:
+        """Number of nodes along each axis; those at both ends of a periodic axis are one."""
+        return tuple(count + (axis not in self.periodic) for axis, count in zip(AXES, self.cells, strict=False))
+
+    @property
     def periods(self) -> tuple[float, ...]:
         """After how far the domain repeats along each axis, m; infinite where it does not."""
         lengths = zip(AXES, self.size, strict=False)
@@ -694,21 +699,18 @@ class Scene(Part):
                     text = f"keeps {size} numbers as {field.name}, another law of the scene {sizes[field.name]}: rename one"
                     yield Problem(("materials", name, "model"), text)
         known = list(dict.fromkeys((*OUTPUT_NAMES, *sizes)))
-        for index, name in enumerate(self.output.fields):
-            if name not in known:
-                near = known_text(name, known, "fields of this scene")
-                yield Problem(("output", "fields", index), f"is not a known field; {near}", name)
-            elif (reason := self.field_kept_by_nobody(name)) is not None:
-                yield Problem(("output", "fields", index), reason, name)
         means = ["mass", *(name for name in known if name not in NO_MEANS)]
-        for index, name in enumerate(self.output.grid_fields):
-            here = ("output", "grid_fields", index)
-            if name in NO_MEANS:
-                yield Problem(here, f"has no mean over particles; {known_text(name, means, 'fields on nodes')}", name)
-            elif name not in means:
-                yield Problem(here, f"is not a known field; {known_text(name, means, 'fields on nodes')}", name)
-            elif (reason := self.field_kept_by_nobody(name)) is not None:
-                yield Problem(here, reason, name)
+        asked = {"fields": (known, "fields of this scene"), "grid_fields": (means, "fields on nodes")}
+        for key, (allowed, plural) in asked.items():
+            for index, name in enumerate(getattr(self.output, key)):
+                here, near = ("output", key, index), known_text(name, allowed, plural)
+                if name in allowed:
+                    reason = self.field_kept_by_nobody(name)
+                else:
+                    meant = key == "grid_fields" and name in NO_MEANS
+                    reason = f"has no mean over particles; {near}" if meant else f"is not a known field; {near}"
+                if reason is not None:
+                    yield Problem(here, reason, name)
 
     def field_kept_by_nobody(self, name: str) -> str | None:
         """Return why no particle of this scene has such a field, None if there are some that have."""

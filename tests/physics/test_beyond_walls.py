@@ -139,3 +139,24 @@ def test_what_has_passed_a_slip_wall_a_little_meets_its_mirror_image(shape, face
     walled, twinned = (beside_a_wall(shape, face, across, twin) for twin in (False, True))
     for name, one, two in zip(("x", "v", "F"), walled, twinned, strict=True):
         assert np.abs(one - two).max() < 1e-13, name
+
+
+@pytest.mark.parametrize("shape", ["linear", "quadratic", "cubic"])
+def test_next_to_no_mass_beside_an_edge_is_not_thrown_back(shape):
+    """Where another wall has mirrored the nodes on this one and inside of it, and let go of the one beyond, next to
+    nothing is there, of any velocity. A linear spline reaches beyond a wall without the inner node: it is mirrored."""
+    simulation = pmpm.Simulation(
+        pmpm.Scene(
+            domain={"size": [1.2, 1.2], "cell_size": DX, "walls": {"y_min": "slip"}},
+            method={"shape_function": shape},
+            time={"end": 1.0},
+            materials={"water": {"model": "fluid", "density": 1000.0, "sound_speed": 10.0}},
+            bodies=[{"material": "water", "shape": {"type": "sphere", "center": [0.6, 0.6], "radius": 0.2}}],
+        )
+    )
+    met, nodes = np.arange(1 + 2 * simulation.needs.stencil.beyond)[None], np.zeros((8, 4))
+    _, beyond, inside, *_ = met[0]
+    nodes[beyond] = 0.0, -1e-8, 0.0, 1e-12
+    simulation.kernels.walls["slip"](nodes, met, 0, 1, np.array([0.0, 1.0]), 0.0, np.zeros(2))
+    assert not nodes[beyond].any()
+    assert nodes[inside].any() == (shape == "linear")

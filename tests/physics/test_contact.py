@@ -140,7 +140,7 @@ def test_what_approaches_stops_at_the_surface_and_not_before():
     middle = np.abs(above.all_x[:, 0] - 0.75) < 0.15
     beneath = np.abs(below.all_x[:, 0] - 0.75) < 0.15
     gap = above.all_x[middle][:, 1].min() - below.all_x[beneath][:, 1].max()
-    assert gap / 0.05 == pytest.approx(0.5, abs=0.1)  # half a cell: two quarters; measured 0.48
+    assert gap / 0.05 == pytest.approx(0.5, abs=0.02)  # half a cell: two quarters; measured 0.498
     assert np.abs(above.v).max() < 1e-2
 
 
@@ -188,7 +188,7 @@ def test_a_sliding_block_stops_where_coulomb_says():
     s = simulation(bodies, mu, (0.0, -G), end=0.4, walls={"y_min": "stick"})
     start = of_body(s, 1).x[0]
     s.run()
-    assert of_body(s, 1).x[0] - start == pytest.approx(v**2 / (2 * mu * G), rel=0.01)
+    assert of_body(s, 1).x[0] - start == pytest.approx(v**2 / (2 * mu * G), rel=0.005)  # measured 0.1 %
     assert abs(of_body(s, 1).v[0]) < 0.03 * v  # what is left shakes
 
 
@@ -203,7 +203,9 @@ def test_on_an_incline_a_block_slides_or_stays(mu, slope):
     s.run()
     pull = max(G * (math.sin(angle) - mu * math.cos(angle)), 0.0)
     free = 0.5 * G * math.sin(angle) * s.time**2
-    assert of_body(s, 1).x[0] - start == pytest.approx(0.5 * pull * s.time**2, rel=0.01, abs=0.01 * free)
+    assert of_body(s, 1).x[0] - start == pytest.approx(
+        0.5 * pull * s.time**2, abs=0.01 * free
+    )  # measured 0.7, 0.7, 0.1 %
 
 
 def test_materials_that_are_together_are_bonded():
@@ -223,7 +225,7 @@ def test_materials_that_are_together_are_bonded():
     s = pmpm.Simulation(scene)
     s.run()
     assert of_body(s, 1).v[0] < 0.05
-    assert of_body(s, 2).v[0] == pytest.approx(G * s.time * (math.sin(angle) - 0.1 * math.cos(angle)), rel=0.1)
+    assert of_body(s, 2).v[0] == pytest.approx(G * s.time * (math.sin(angle) - 0.1 * math.cos(angle)), rel=0.02)
 
 
 def test_friction_told_of_a_material_holds_for_all_that_are_bonded_to_it():
@@ -263,7 +265,7 @@ def test_extreme_pairs_stay_bounded(heavy, light, hard, soft, precision):
         s.step()
         if s.finished:
             break
-    assert free_energy(s.measure()) < 1.01 * before
+    assert free_energy(s.measure()) < before  # measured 0.99997 of it at most
     assert np.isfinite(s.particles.x).all()
 
 
