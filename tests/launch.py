@@ -9,9 +9,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import pmpm
-
-ROOT = Path(pmpm.__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 # Open MPI refuses root, and more ranks than cores, unless told; MPICH does not read these.
 LAUNCHER = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
