@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 from drop import DROP
+from launch import ROOT
 
 from pmpm.cli import main
 
-ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "jobs" / "README.md"]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # The file that a page says a block is put into, in the last words before it.

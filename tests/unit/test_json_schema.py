@@ -3,11 +3,11 @@
 import json
 import re
 import tomllib
-from pathlib import Path
 
 import jsonschema
 import pytest
 from broken_scenes import BROKEN, GOOD, GOOD_3D, change
+from launch import ROOT
 
 from pmpm.cli import main
 from pmpm.physics.materials import LAWS
@@ -16,7 +16,6 @@ from pmpm.scene.errors import SceneError
 from pmpm.scene.json_schema import scene_schema, schema_text
 from pmpm.scene.schema import Scene
 
-ROOT = Path(__file__).parents[2]
 SCHEMA = scene_schema()
 VALIDATOR = jsonschema.Draft7Validator(SCHEMA)
 # What a look at single keys shows: of messages that say so, the schema must refuse the scene, too.

@@ -2,15 +2,13 @@
 
 import ast
 import re
-from pathlib import Path
 
 import make_materials
 import pytest
+from launch import ROOT
 
 from pmpm.physics.materials import LAWS
 from pmpm.physics.materials.examples import EXAMPLES
-
-ROOT = Path(__file__).parents[2]
 
 PAGES = make_materials.pages()
 POINTER = re.compile(r"`(pmpm/[\w/]+\.py):(\w+(?:\.\w+)?)`")

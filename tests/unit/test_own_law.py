@@ -3,12 +3,12 @@
 import math
 import pickle
 import re
-from pathlib import Path
 
 import h5py
 import numpy as np
 import own_laws
 import pytest
+from launch import ROOT
 
 import pmpm
 from pmpm.parallel.comm import Alone
@@ -247,7 +247,7 @@ def same_pair(F, G, dt, age):
 
 
 def test_the_example_of_a_law_with_a_state_in_the_documentation_runs():
-    text = (Path(__file__).parents[2] / "docs" / "scene.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", text[text.index("### A law with a state") :], re.DOTALL)
     space = {"__name__": "example"}
     exec(example, space)

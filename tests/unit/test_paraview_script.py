@@ -5,17 +5,17 @@ ParaView itself is not among what tests install: its module is stood in for by o
 
 import runpy
 import sys
-from pathlib import Path
 from types import ModuleType
 from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from launch import ROOT
 
 import pmpm
 from pmpm.cli import main
 
-SCRIPT = Path(pmpm.__file__).parents[1] / "docs" / "paraview" / "open_run.py"
+SCRIPT = ROOT / "docs" / "paraview" / "open_run.py"
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import pickle
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from launch import ROOT
 
 import pmpm
 from pmpm.kernels import targets
@@ -334,7 +334,7 @@ def test_a_parameter_called_density_is_the_density_of_the_material():
 
 
 def test_the_example_in_the_documentation_runs():
-    text = (Path(__file__).parents[2] / "docs" / "scene.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
     example, *_ = re.findall(r"```python\n(.*?)```", text[text.index("## A law of your own") :], re.DOTALL)
     space = {"__name__": "example"}
     exec(example, space)

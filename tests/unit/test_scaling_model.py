@@ -2,11 +2,11 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import scaling_model as model
 import scaling_page
+from launch import ROOT
 from scaling_fit import link_of
 from scaling_model import Block, Constants, LawCost, Link, Machine, Split
 
@@ -171,7 +171,7 @@ def test_constants_are_kept_as_they_were_measured(tmp_path):
 
 
 def test_the_page_says_what_the_constants_say():
-    page = Path(__file__).parents[2] / "docs" / "scaling.md"
+    page = ROOT / "docs" / "scaling.md"
     made, kept = scaling_page.text(model.read_constants()), page.read_text(encoding="utf-8")
     of_the_day = re.compile(r"^.*; commit .*$", re.MULTILINE)
     assert of_the_day.sub("", kept) == of_the_day.sub("", made)

@@ -1,14 +1,13 @@
 """docs/scene_reference.md names every key that a scene file may hold, as the code has it."""
 
-from pathlib import Path
-
 import make_scene_reference
+from launch import ROOT
 
 from pmpm.physics.materials import LAWS
 from pmpm.scene.json_schema import scene_schema
 
 PAGE = make_scene_reference.page()
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = ROOT / "docs"
 
 
 def test_the_page_is_what_the_code_says():

@@ -1,18 +1,15 @@
 """A scene holds, moves and compiles what it needs and no more; `pmpm check` and docs/results/what_scenes_need.md say so."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import several_laws
 import what_scenes_need
+from launch import ROOT
 
 from pmpm.explain import bytes_per_particle, compiled_kernels, explain, labels
 from pmpm.scene.needs import scene_needs
 from pmpm.scene.schema import Scene
 from pmpm.simulation import Simulation
-
-ROOT = Path(__file__).parents[2]
 
 WATER = {"model": "fluid", "density": 1000.0, "sound_speed": 15.0}
 RUBBER = {"model": "neo_hookean", "density": 1000.0, "youngs_modulus": 1e4, "poisson_ratio": 0.3}
